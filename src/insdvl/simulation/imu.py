@@ -1,0 +1,59 @@
+"""The inertial sensor: what it would read without error, and its errors.
+
+A reading is the mean of specific force and angular rate over the interval that ends at its stamp.
+"""
+
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import NDArray
+
+from insdvl.simulation.trajectories import Trajectory
+
+Array = NDArray[np.float64]
+
+_NODES = 3  # the error is of the order dt^6 and lies below the rounding at 10 Hz and above
+
+
+def ideal_imu(
+    trajectory: Trajectory, stamps_s: Array, dt: float, *, earth_rate: bool = True
+) -> tuple[Array, Array]:
+    """Readings of a perfect IMU: means over (stamp - dt, stamp], by Gauss-Legendre quadrature.
+
+    Args:
+        trajectory: What happens.
+        stamps_s: (N,) ends of the intervals, from the start of the trajectory [s].
+        dt: Length of the intervals [s].
+        earth_rate: See `Trajectory.truth`.
+
+    Returns:
+        f_b (N, 3) [m/s^2] and w_ib_b (N, 3) [rad/s] in forward-right-down.
+    """
+    x, w = legendre.leggauss(_NODES)
+    t = np.asarray(stamps_s)[:, None] + dt / 2.0 * (x - 1.0)
+    truth = trajectory.truth(t.ravel(), earth_rate=earth_rate)
+
+    def mean(values: Array) -> Array:
+        return np.ascontiguousarray(np.einsum("j,ijk->ik", w / 2.0, values.reshape(-1, _NODES, 3)))
+
+    return mean(truth.f_b), mean(truth.w_ib_b)
+
+
+def white_noise(variances: Array, rng: np.random.Generator) -> Array:
+    """Independent normal noise (N, 6) with the given variance of each sample (N, 6)."""
+    return np.sqrt(variances) * rng.standard_normal(variances.shape)
+
+
+def biases(n: int, dt: float, turn_on_std: Array, walk: Array, rng: np.random.Generator) -> Array:
+    """Biases (n, 6): a turn-on value, then a random walk.
+
+    Args:
+        n: Number of samples; the first one has the turn-on bias.
+        dt: Time between samples [s].
+        turn_on_std: (6,) sigma of the turn-on bias of each channel [unit].
+        walk: (6,) density of the walk of each channel [unit^2/s].
+        rng: Generator of the draws; their number does not depend on the sigmas.
+    """
+    steps = rng.standard_normal((n, 6))
+    steps[0] *= turn_on_std
+    steps[1:] *= np.sqrt(np.asarray(walk) * dt)
+    return np.cumsum(steps, axis=0)
