@@ -10,8 +10,6 @@ from typing import Any, Generic, TypeVar
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from insdvl.messages import RejectedMessage
-from insdvl.parameters import ParameterError
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
@@ -27,6 +25,8 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 
+from insdvl.messages import RejectedMessage
+from insdvl.parameters import ParameterError
 from ros_insdvl.parameters import declare
 
 _Group = TypeVar("_Group")

@@ -2,6 +2,9 @@
 
 from typing import Any, TypeVar
 
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.node import Node
+
 from insdvl.parameters import (
     Declaration,
     ParameterError,
@@ -10,8 +13,6 @@ from insdvl.parameters import (
     flatten,
     is_ros_name,
 )
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
-from rclpy.node import Node
 
 _Group = TypeVar("_Group")
 
