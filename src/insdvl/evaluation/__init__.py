@@ -1,0 +1,1 @@
+"""How good a navigation result is: metrics and plots."""
