@@ -1,0 +1,418 @@
+"""The error-state extended Kalman filter: predict with IMU samples, update with DVL velocities.
+
+A `Filter` holds what never changes; all that does is in a state record (state.py), which its
+methods advance in place. `fold.Fold` decides the order in which they are called.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from insdvl import error_state, strapdown
+from insdvl.error_state import (
+    ACCELEROMETER_BIAS,
+    ATTITUDE,
+    DVL_ERROR,
+    GYROSCOPE_BIAS,
+    POSITION,
+    VELOCITY,
+)
+from insdvl.events import NS, Dvl, Imu, Initial, Origin, ProcessNoise
+from insdvl.frames import CONVENTIONS, rotation_from_rpy
+from insdvl.kernels import kernel
+from insdvl.parameters import FilterParameters
+from insdvl.process_noise import ProcessNoiseSource
+from insdvl.state import (
+    NEVER,
+    Constants,
+    State,
+    Workspace,
+    constants_type,
+    empty_state,
+    state_size,
+    workspace_type,
+)
+
+Array = NDArray[np.float64]
+Records = NDArray[np.void]
+
+
+@dataclass(frozen=True)
+class UpdateReport:
+    """What an update did.
+
+    Attributes:
+        innovation: (3,) measured minus predicted velocity [m/s], DVL axes, forward-right-down.
+        S: (3, 3) covariance of the innovation [(m/s)^2].
+        nis: Normalised innovation squared, chi-square with 3 degrees of freedom when all is well.
+        accepted: Whether the state was corrected.
+        reason: Empty, or why not: ``gate``, ``not_initialised``, ``bad_covariance``; ``restarted``
+            where the velocity was set to the measured one.
+    """
+
+    innovation: Array
+    S: Array
+    nis: float
+    accepted: bool
+    reason: str
+
+
+@kernel
+def _advance(
+    s: State, w: Workspace, c: Constants, sample_ns: int, f_b: Array, w_ib_b: Array, to_ns: int
+) -> None:
+    """Advance an initialised state with (a part of) the sample that ends at ``sample_ns``."""
+    if to_ns <= s.time_ns:
+        return
+    dt = (to_ns - s.time_ns) * 1e-9
+    if s.q_ns != NEVER and s.time_ns - s.q_ns > c.q_timeout_ns:
+        s.Q_f[:] = c.Q_f_nominal
+        s.Q_w[:] = c.Q_w_nominal
+        s.q_ns = NEVER
+        s.q_timeouts += 1
+
+    f_hat, w_hat = w.x2, w.x3
+    for i in range(3):
+        f_hat[i] = f_b[i] - s.b_f[i]
+        w_hat[i] = w_ib_b[i] - s.b_w[i]
+    strapdown.mechanise(s, w, c, f_hat, w_hat, dt)
+
+    # Densities of the input noise; in a gap, of the motion that was not seen as well: a constant
+    # error of one sigma over the gap T grows to (sigma T)^2, as a density sigma^2 T does.
+    Q_f, Q_w = w.N1, w.N2
+    adaptive = s.Q_x.shape[0] > 0 and s.innovation_count >= s.innovations.shape[0]
+    scale = 0.0 if adaptive and c.literal else c.density
+    gap = 0.0
+    if s.imu_ns != NEVER and sample_ns - s.imu_ns > c.gap_ns:
+        gap = (sample_ns - s.imu_ns) * 1e-9
+    for i in range(3):
+        for j in range(3):
+            Q_f[i, j] = scale * s.Q_f[i, j]
+            Q_w[i, j] = scale * s.Q_w[i, j]
+        Q_f[i, i] += c.gap_f * c.gap_f * gap
+        Q_w[i, i] += c.gap_w * c.gap_w * gap
+
+    error_state.dynamics(w, c)
+    error_state.discretise(w, c, dt)
+    error_state.input_noise(s, w, c, Q_f, Q_w, dt)
+    if adaptive:
+        if c.literal:
+            w.Q_d[:] = 0.0
+        for i in range(s.Q_x.shape[0]):
+            for j in range(s.Q_x.shape[0]):
+                w.Q_d[i, j] += dt * s.Q_x[i, j]
+    error_state.propagate(s.P, w)
+    s.time_ns = to_ns
+
+
+@kernel
+def _complete(s: State, c: Constants, sample_ns: int) -> None:
+    """The sample is used up."""
+    if s.imu_ns != NEVER and sample_ns - s.imu_ns > c.gap_ns:
+        s.gaps += 1
+    s.imu_ns = sample_ns
+
+
+@kernel
+def _predict_part(
+    state: Records,
+    workspace: Records,
+    constants: Records,
+    sample_ns: int,
+    f_b: Array,
+    w_ib_b: Array,
+    to_ns: int,
+) -> None:
+    _advance(state[0], workspace[0], constants[0], sample_ns, f_b, w_ib_b, to_ns)
+
+
+@kernel
+def _predict_samples(
+    state: Records,
+    workspace: Records,
+    constants: Records,
+    stamps_ns: NDArray[np.int64],
+    f_b: Array,
+    w_ib_b: Array,
+    first: int,
+    last: int,
+    states: Records,
+) -> None:
+    s, w, c = state[0], workspace[0], constants[0]
+    for k in range(first, last):
+        _advance(s, w, c, stamps_ns[k], f_b[k], w_ib_b[k], stamps_ns[k])
+        _complete(s, c, stamps_ns[k])
+        states[k] = s
+
+
+@kernel
+def _innovate(
+    state: Records, workspace: Records, constants: Records, v_d: Array, w_ib_b: Array, R: Array
+) -> float:
+    s, w = state[0], workspace[0]
+    error_state.dvl_measurement(s, w, constants[0], v_d, w_ib_b)
+    return error_state.innovation_covariance(s.P, w, R)
+
+
+@kernel
+def _correct(state: Records, workspace: Records, constants: Records, R: Array) -> None:
+    error_state.correct(state[0], workspace[0], constants[0], R)
+
+
+class Filter:
+    """Predict and update on a state record.
+
+    Args:
+        parameters: Of the filter.
+    """
+
+    def __init__(self, parameters: FilterParameters) -> None:
+        self.parameters = parameters
+        self.n = state_size(parameters)
+        self.invariant = parameters.error_state == "invariant"
+        axes = CONVENTIONS[parameters.frame_convention]
+        #: (3, 3) rotations from IMU and from DVL to base_link axes, forward-right-down.
+        self.C_b_i = axes.body_rotation(rotation_from_rpy(np.array(parameters.imu.mount)))
+        self.C_b_d = axes.body_rotation(rotation_from_rpy(np.array(parameters.dvl.mount)))
+        #: (3,) position of the IMU in base_link [m], forward-right-down.
+        self.l_b_imu = axes.body @ np.array(parameters.imu.lever_arm)
+        l_b_dvl = axes.body @ np.array(parameters.dvl.lever_arm) - self.l_b_imu
+        self._l_x = self.C_b_d.T @ error_state.cross_matrix(l_b_dvl)
+        self._R_default = np.diag(np.square(parameters.dvl.noise_std))
+        self._initial = self._initial_from_parameters()
+        gate = parameters.gate
+        self._gate = float(chi2.ppf(gate.probability, 3)) if gate.enabled else np.inf
+        self.process_noise = ProcessNoiseSource(parameters, self.C_b_i)
+
+        self._workspace = np.zeros(1, workspace_type(self.n))
+        self._constants = np.zeros(1, constants_type(self.n))
+        c = self._constants[0]
+        c["invariant"] = self.invariant
+        c["earth_rate"] = parameters.earth_rate
+        noise = parameters.process_noise
+        c["rate"] = parameters.imu.rate
+        c["density"] = 1.0 / parameters.imu.rate if noise.convention == "per_sample" else 1.0
+        c["eps_f"], c["eps_w"] = noise.accelerometer_bias_walk, noise.gyroscope_bias_walk
+        c["Q_f_nominal"] = self.process_noise.Q_f_nominal
+        c["Q_w_nominal"] = self.process_noise.Q_w_nominal
+        c["q_timeout_ns"] = round(parameters.q_timeout * NS)
+        c["literal"] = noise.adaptive_form == "literal"
+        c["gap_ns"] = round(parameters.imu.max_gap * NS)
+        c["gap_f"] = parameters.imu.gap_acceleration_std
+        c["gap_w"] = parameters.imu.gap_rate_std
+        c["C_d_b"] = self.C_b_d.T
+        c["l_b"] = l_b_dvl
+        c["bias_variance"] = parameters.dvl.bias_std**2
+        c["bias_rate"] = 1.0 / parameters.dvl.bias_time_constant
+
+    def _initial_from_parameters(self) -> Initial:
+        axes = CONVENTIONS[self.parameters.frame_convention]
+        initial = self.parameters.initial
+        velocity = np.array(initial.velocity)
+        velocity_axes = axes.body if initial.velocity_frame == "body" else axes.nav
+        return Initial(
+            stamp_ns=0,
+            C_n_b=axes.attitude(rotation_from_rpy(np.array(initial.rpy))),
+            p_n=axes.nav @ np.array(initial.position),
+            v=velocity_axes @ velocity,
+            velocity_frame=initial.velocity_frame,
+        )
+
+    def start(self) -> Records:
+        """A record, in an array of length 1, to which nothing has happened."""
+        state = empty_state(self.n, self.process_noise.window)
+        self.process_noise.start(state[0])
+        if self.parameters.origin.source == "parameters":
+            origin = self.parameters.origin
+            self.locate(
+                state,
+                Origin(
+                    0,
+                    float(np.radians(origin.latitude_deg)),
+                    float(np.radians(origin.longitude_deg)),
+                    origin.height,
+                ),
+            )
+        return state
+
+    def locate(self, state: Records, origin: Origin) -> None:
+        """Odom's origin on the Earth becomes known; the first one counts."""
+        s = state[0]
+        if np.isnan(s["lat_0"]):
+            s["lat_0"], s["lon_0"], s["h_0"] = origin.lat, origin.lon, origin.h
+
+    def initialise(self, state: Records, initial: Initial, stamp_ns: int, w_ib_b: Array) -> None:
+        """The state becomes `initial`, its covariance P_0 mapped to the model's coordinates.
+
+        Args:
+            w_ib_b: (3,) angular rate at that time [rad/s], base_link axes, for the IMU's lever arm.
+        """
+        s = state[0]
+        parameters = self.parameters.initial
+        C, l_b = initial.C_n_b, self.l_b_imu
+        in_body = initial.velocity_frame == "body"
+        v_n = (C @ initial.v if in_body else initial.v) + C @ np.cross(w_ib_b, l_b)
+        s["C_n_b"], s["v_n"], s["p_n"] = C, v_n, initial.p_n + C @ l_b
+        s["b_f"] = self.C_b_i @ self._body_axes(parameters.accelerometer_bias)
+        s["b_w"] = self.C_b_i @ self._body_axes(parameters.gyroscope_bias)
+        s["b_d"] = 0.0
+        s["w_nb_b"] = w_ib_b - s["b_w"]
+
+        P = np.zeros((self.n, self.n))
+        P[VELOCITY, VELOCITY] = _or_isotropic(initial.P_v, parameters.velocity_std)
+        tilt, heading = parameters.tilt_std, parameters.heading_std
+        P[ATTITUDE, ATTITUDE] = (
+            np.diag([tilt**2, tilt**2, heading**2]) if initial.P_psi is None else initial.P_psi
+        )
+        P[ACCELEROMETER_BIAS, ACCELEROMETER_BIAS] = np.eye(3) * parameters.accelerometer_bias_std**2
+        P[GYROSCOPE_BIAS, GYROSCOPE_BIAS] = np.eye(3) * parameters.gyroscope_bias_std**2
+        P[POSITION, POSITION] = _or_isotropic(initial.P_p, parameters.position_std)
+        if self.n > POSITION.stop:
+            P[DVL_ERROR, DVL_ERROR] = np.eye(3) * self.parameters.dvl.bias_std**2
+        T = error_state.from_ordinary_errors(
+            C, v_n, invariant=self.invariant, velocity_frame=initial.velocity_frame, n=self.n
+        )
+        T[POSITION, ATTITUDE] = -error_state.cross_matrix(C @ l_b)  # from base_link to the IMU
+        P = T @ P @ T.T
+        s["P"] = (P + P.T) / 2
+        s["time_ns"], s["initialised"] = stamp_ns, 1
+        s["rejections"], s["innovation_count"], s["Q_x"] = 0, 0, 0.0
+
+    def _body_axes(self, values: tuple[float, ...]) -> Array:
+        return CONVENTIONS[self.parameters.frame_convention].body @ np.array(values)
+
+    def await_start(self, state: Records, sample: Imu) -> None:
+        """An uninitialised state sees a sample (base_link axes), and may start from it."""
+        s = state[0]
+        mode = self.parameters.initial.mode
+        if not np.isnan(s["lat_0"]):
+            if mode == "parameters":
+                self.initialise(state, self._initial, sample.stamp_ns, sample.w_ib_b)
+            elif mode == "levelling":
+                self._level(state, sample)
+        s["imu_ns"] = s["time_ns"] = sample.stamp_ns
+
+    def _level(self, state: Records, sample: Imu) -> None:
+        """Collect the specific force at rest, f_b = -C_b_n g_n, then start from its direction."""
+        s = state[0]
+        if s["level_count"] == 0:
+            s["level_ns"] = sample.stamp_ns
+        s["level_f"] += sample.f_b
+        s["level_count"] += 1
+        duration = round(self.parameters.initial.levelling_time * NS)
+        if sample.stamp_ns - s["level_ns"] < duration:
+            return
+        f_b = s["level_f"] / s["level_count"]
+        roll = np.arctan2(-f_b[1], -f_b[2])
+        pitch = np.arctan2(f_b[0], np.hypot(f_b[1], f_b[2]))
+        C = self._initial.C_n_b
+        heading = np.arctan2(C[1, 0], C[0, 0])
+        initial = Initial(
+            stamp_ns=sample.stamp_ns,
+            C_n_b=rotation_from_rpy(np.array([roll, pitch, heading])),
+            p_n=self._initial.p_n,
+            v=self._initial.v,
+            velocity_frame=self._initial.velocity_frame,
+        )
+        self.initialise(state, initial, sample.stamp_ns, sample.w_ib_b)
+
+    def predict_part(
+        self, state: Records, sample_ns: int, f_b: Array, w_ib_b: Array, to_ns: int
+    ) -> None:
+        """Advance to a stamp inside the interval of a sample (base_link axes)."""
+        _predict_part(state, self._workspace, self._constants, sample_ns, f_b, w_ib_b, to_ns)
+
+    def predict_samples(
+        self,
+        state: Records,
+        stamps_ns: NDArray[np.int64],
+        f_b: Array,
+        w_ib_b: Array,
+        first: int,
+        last: int,
+        states: Records,
+    ) -> None:
+        """Advance over the samples first <= k < last and keep each state in ``states[k]``.
+
+        Args:
+            stamps_ns: (N,) stamps of the samples.
+            f_b: (N, 3) specific force [m/s^2], base_link axes.
+            w_ib_b: (N, 3) angular rate [rad/s], base_link axes.
+            states: (N,) records.
+        """
+        _predict_samples(
+            state, self._workspace, self._constants, stamps_ns, f_b, w_ib_b, first, last, states
+        )
+
+    def tell_process_noise(self, state: Records, event: ProcessNoise) -> None:
+        """Q is as told from the event's stamp on."""
+        self.process_noise.told(state[0], event.stamp_ns, event.Q_f, event.Q_w)
+
+    def update(self, state: Records, dvl: Dvl, w_ib_b: Array, samples: int) -> UpdateReport:
+        """Correct the state, which must be at the measurement's stamp.
+
+        Args:
+            dvl: The measurement.
+            w_ib_b: (3,) mean angular rate up to the stamp [rad/s], base_link axes.
+            samples: Number of samples in that mean.
+        """
+        s = state[0]
+        if not s["initialised"]:
+            nothing = np.full(3, np.nan)
+            return UpdateReport(nothing, np.full((3, 3), np.nan), np.nan, False, "not_initialised")
+        Q_w_mean = self.sample_variance_w(s) / samples
+        R = (self._R_default if dvl.R is None else dvl.R) + self._l_x @ Q_w_mean @ self._l_x.T
+        R = (R + R.T) / 2
+        nis = _innovate(state, self._workspace, self._constants, dvl.v_d, w_ib_b, R)
+        w = self._workspace[0]
+        innovation, S = w["innovation"].copy(), w["S"].copy()
+        if not np.isfinite(nis):
+            return UpdateReport(innovation, S, nis, False, "bad_covariance")
+        accepted, reason = True, ""
+        if nis > self._gate:
+            accepted, reason = self._recover(state, dvl, innovation, R)
+        else:
+            _correct(state, self._workspace, self._constants, R)
+            s["rejections"] = 0
+            self.process_noise.innovated(s, w["K"], innovation)
+        s["dvl_ns"] = dvl.stamp_ns
+        return UpdateReport(innovation, S, float(nis), accepted, reason)
+
+    def sample_variance_w(self, s: State) -> Array:
+        """Variance (3, 3) of one angular rate sample [(rad/s)^2], whatever Q's convention is."""
+        c = self._constants[0]
+        return s["Q_w"] * (c["density"] * c["rate"])
+
+    def _recover(
+        self, state: Records, dvl: Dvl, innovation: Array, R: Array
+    ) -> tuple[bool, str]:
+        """Reject, but not for ever: inflate the velocity covariance, then restart the velocity."""
+        s = state[0]
+        s["rejections"] += 1
+        limit = self.parameters.gate.max_rejections
+        if s["rejections"] == limit:
+            s["P"][VELOCITY, VELOCITY] += np.eye(3) * (innovation @ innovation)
+            s["inflations"] += 1
+        if s["rejections"] < 2 * limit:
+            return False, "gate"
+        # Velocity from this measurement alone, independent of all else.
+        C_n_d = s["C_n_b"] @ self.C_b_d
+        s["v_n"] += C_n_d @ innovation
+        P = s["P"]
+        P[VELOCITY, :] = 0.0
+        P[:, VELOCITY] = 0.0
+        T = error_state.from_ordinary_errors(
+            s["C_n_b"], s["v_n"], invariant=self.invariant, velocity_frame="body", n=self.n
+        )
+        P[VELOCITY, VELOCITY] = self.C_b_d @ R @ self.C_b_d.T
+        P[:] = T @ P @ T.T
+        s["rejections"] = 0
+        s["restarts"] += 1
+        return True, "restarted"
+
+
+def _or_isotropic(P: Array | None, std: float) -> Array:
+    return np.eye(3) * std**2 if P is None else P
+

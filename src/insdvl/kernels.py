@@ -1,0 +1,115 @@
+"""The only place that calls numba: compilation of the hot functions, and their cache.
+
+The cache lives in ``$INSDVL_CACHE_DIR``, else in the user's cache folder. Where neither can be
+written the functions are compiled in memory, with one warning. A cache that is full, damaged or
+read-only never stops a program: it costs compile time, and one warning.
+
+numba checks a cached function against its own source file only, not against the files of the
+functions that it calls. The cache folder's name therefore carries a digest of the whole package.
+"""
+
+import hashlib
+import os
+import sys
+import tempfile
+import warnings
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numba
+from numba.core.caching import FunctionCache
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+
+class CacheWarning(UserWarning):
+    """The compiled functions cannot be kept on disk; they work, but start slowly."""
+
+
+@cache
+def _warn_once(reason: str) -> None:
+    warnings.warn(
+        f"compiled functions are not cached ({reason}); set INSDVL_CACHE_DIR to a writable folder",
+        CacheWarning,
+        stacklevel=3,
+    )
+
+
+def _source_digest() -> str:
+    """Digest of the package's sources, the interpreter and numba."""
+    digest = hashlib.sha256(f"{sys.version} {numba.__version__}".encode())
+    package = Path(__file__).parent
+    for source in sorted(package.rglob("*.py")):
+        digest.update(source.relative_to(package).as_posix().encode())
+        digest.update(source.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _user_cache_dir() -> Path | None:
+    base = os.environ.get("XDG_CACHE_HOME")
+    if base:
+        return Path(base) / "insdvl"
+    try:
+        return Path.home() / ".cache" / "insdvl"
+    except RuntimeError:  # no home folder is known
+        return None
+
+
+@cache
+def cache_dir() -> Path | None:
+    """Folder of the compiled functions, or None where no folder can be written."""
+    named = os.environ.get("INSDVL_CACHE_DIR")
+    candidates = [Path(named)] if named else []
+    user = _user_cache_dir()
+    if user is not None:
+        candidates.append(user)
+    reason = "no home folder"
+    for candidate in candidates:
+        folder = candidate / f"kernels-{_source_digest()}"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder):
+                return folder
+        except OSError as error:
+            reason = f"{folder}: {error.strerror or error}"
+    _warn_once(reason)
+    return None
+
+
+class _ForgivingCache(FunctionCache):  # type: ignore[misc]
+    """numba's cache, except that a damaged or full one is a warning and not an exception."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        try:
+            return super().load_overload(sig, target_context)
+        except Exception as error:  # a damaged file raises whatever its bytes make pickle raise
+            _warn_once(f"damaged cache: {error!r}")
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        try:
+            super().save_overload(sig, data)
+        except Exception as error:  # a full disk, or a damaged index that is read before writing
+            _warn_once(f"cannot write the cache: {error!r}")
+
+
+def kernel(function: _Function) -> _Function:
+    """Compile a function with numba on its first call, and cache the result on disk.
+
+    ``error_model="numpy"``: a division by zero gives inf or nan as numpy does, and costs no check.
+    Floating-point operations are never reordered, so a kernel is reproducible to the bit.
+    """
+    dispatcher = numba.njit(error_model="numpy", nogil=True)(function)
+    folder = cache_dir()
+    if folder is not None:
+        previous = numba.config.CACHE_DIR
+        numba.config.CACHE_DIR = str(folder)
+        try:
+            dispatcher._cache = _ForgivingCache(function)
+        except RuntimeError as error:  # numba found no place for this function
+            _warn_once(str(error))
+        finally:
+            numba.config.CACHE_DIR = previous
+    return dispatcher  # type: ignore[no-any-return]

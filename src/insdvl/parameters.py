@@ -1,0 +1,727 @@
+"""Parameters: what every node and command can be told, declared once.
+
+A group of parameters is a frozen dataclass whose fields are made by `parameter`, with unit, range
+and meaning. From these come the ROS declarations and descriptors, the check of a YAML file, the
+tables in docs/parameters.md and the example files. Groups nest; a nested field's full name is
+joined by dots (``dvl.lever_arm``).
+
+A value is accepted exactly as ROS 2 accepts it: types are strict (``5`` is not a float), a list is
+of floats throughout. What is wrong is named, with its value and what is allowed.
+"""
+
+import dataclasses
+import difflib
+import math
+import typing
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, TypeVar
+
+import yaml
+
+_Group = TypeVar("_Group")
+
+
+class ParameterError(ValueError):
+    """A parameter has an unknown name, a wrong type or a value out of its range."""
+
+
+def parameter(
+    default: Any,
+    meaning: str,
+    *,
+    unit: str = "",
+    low: float | None = None,
+    high: float | None = None,
+    above: float | None = None,
+    choices: tuple[str, ...] = (),
+    length: int | None = None,
+) -> Any:
+    """A dataclass field that is a parameter.
+
+    Args:
+        default: The value when nothing is given; its type is the parameter's type. A tuple of
+            floats is a list of floats.
+        meaning: One sentence.
+        unit: SI unit of the value, empty for a plain number.
+        low: Smallest value allowed, also of each element of a list.
+        high: Largest value allowed, also of each element of a list.
+        above: The value must be larger than this.
+        choices: The strings allowed; empty for any.
+        length: Number of elements of a list.
+    """
+    metadata = {
+        "meaning": meaning,
+        "unit": unit,
+        "low": low,
+        "high": high,
+        "above": above,
+        "choices": choices,
+        "length": length,
+    }
+    return field(default=default, metadata=metadata)
+
+
+@dataclass(frozen=True)
+class Declaration:
+    """One parameter of a group, as ROS and the documentation need it."""
+
+    name: str
+    default: Any
+    meaning: str
+    unit: str
+    low: float | None
+    high: float | None
+    above: float | None
+    choices: tuple[str, ...]
+    length: int | None
+
+    @property
+    def type_name(self) -> str:
+        """``bool``, ``int``, ``float``, ``string`` or ``list of floats``."""
+        names = {bool: "bool", int: "int", float: "float", str: "string", tuple: "list of floats"}
+        return names[type(self.default)]
+
+    @property
+    def range_text(self) -> str:
+        """What values are allowed, in words; empty where any is."""
+        if self.choices:
+            return "one of " + ", ".join(self.choices)
+        bounds = []
+        if self.above is not None:
+            bounds.append(f"> {self.above:g}")
+        if self.low is not None:
+            bounds.append(f">= {self.low:g}")
+        if self.high is not None:
+            bounds.append(f"<= {self.high:g}")
+        text = " and ".join(bounds)
+        if self.length is not None:
+            text = f"{self.length} values" + (f", each {text}" if text else "")
+        return text
+
+    def check(self, value: Any) -> Any:
+        """The value as the dataclass keeps it (lists become tuples).
+
+        Raises:
+            ParameterError: It has the wrong type or is outside the range.
+        """
+        if type(self.default) is tuple:
+            if isinstance(value, str) or not hasattr(value, "__iter__"):
+                raise self._wrong_type(value)
+            elements = tuple(value)
+            if any(type(element) is not float for element in elements):
+                raise self._wrong_type(value)
+            if self.length is not None and len(elements) != self.length:
+                raise self._out_of_range(value)
+            for element in elements:
+                if not self._allows(element):
+                    raise self._out_of_range(value)
+            return elements
+        if type(value) is not type(self.default):
+            raise self._wrong_type(value)
+        if self.choices and value not in self.choices:
+            raise self._out_of_range(value)
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            if not self._allows(value):
+                raise self._out_of_range(value)
+        return value
+
+    def _allows(self, value: float) -> bool:
+        return (
+            math.isfinite(value)
+            and (self.low is None or value >= self.low)
+            and (self.high is None or value <= self.high)
+            and (self.above is None or value > self.above)
+        )
+
+    def _wrong_type(self, value: Any) -> ParameterError:
+        return ParameterError(
+            f"parameter '{self.name}' must be a {self.type_name}, got {value!r} "
+            f"({type(value).__name__})"
+        )
+
+    def _out_of_range(self, value: Any) -> ParameterError:
+        return ParameterError(
+            f"parameter '{self.name}' must be {self.range_text or 'finite'}, got {value!r}"
+        )
+
+
+def declarations(group: type[Any], prefix: str = "") -> Iterator[Declaration]:
+    """The parameters of a group, those of nested groups included, in their written order."""
+    types = typing.get_type_hints(group)
+    for item in dataclasses.fields(group):
+        name = prefix + item.name
+        if dataclasses.is_dataclass(types[item.name]):
+            yield from declarations(types[item.name], name + ".")
+        else:
+            yield Declaration(name=name, default=item.default, **item.metadata)
+
+
+def build(group: type[_Group], values: Mapping[str, Any], prefix: str = "") -> _Group:
+    """A group from full names and values; what is not given takes its default.
+
+    Raises:
+        ParameterError: An unknown name, a wrong type, a value out of range or a contradiction.
+    """
+    known = {declaration.name: declaration for declaration in declarations(group, prefix)}
+    for name in values:
+        if name.startswith(prefix) and name not in known:
+            near = difflib.get_close_matches(name, known, n=3, cutoff=0.0)
+            raise ParameterError(f"unknown parameter '{name}'; the nearest are {', '.join(near)}")
+    return _build(group, values, known, prefix)
+
+
+def _build(
+    group: type[_Group], values: Mapping[str, Any], known: Mapping[str, Declaration], prefix: str
+) -> _Group:
+    types = typing.get_type_hints(group)
+    arguments = {}
+    for item in dataclasses.fields(group):  # type: ignore[arg-type]
+        name = prefix + item.name
+        if dataclasses.is_dataclass(types[item.name]):
+            arguments[item.name] = _build(types[item.name], values, known, name + ".")
+        elif name in values:
+            arguments[item.name] = known[name].check(values[name])
+    return group(**arguments)
+
+
+def flatten(group: Any, prefix: str = "") -> dict[str, Any]:
+    """Full names and values of a group; `build` makes the group again from them."""
+    values: dict[str, Any] = {}
+    for item in dataclasses.fields(group):
+        value = getattr(group, item.name)
+        if dataclasses.is_dataclass(value):
+            values.update(flatten(value, prefix + item.name + "."))
+        else:
+            values[prefix + item.name] = value
+    return values
+
+
+@dataclass(frozen=True)
+class ImuParameters:
+    rate: float = parameter(
+        100.0,
+        "Nominal rate of the IMU; turns a variance per sample into a density.",
+        unit="Hz",
+        above=0.0,
+        high=10_000.0,
+    )
+    mount: tuple[float, ...] = parameter(
+        (0.0, 0.0, 0.0),
+        "Rotation from IMU axes to base_link axes, as roll, pitch, yaw of the IMU in base_link.",
+        unit="rad",
+        low=-2 * math.pi,
+        high=2 * math.pi,
+        length=3,
+    )
+    lever_arm: tuple[float, ...] = parameter(
+        (0.0, 0.0, 0.0), "Position of the IMU in base_link.", unit="m", length=3
+    )
+    max_gap: float = parameter(
+        0.1,
+        "An interval between IMU stamps longer than this is a gap: it is counted, bridged with "
+        "the sample that ends it, and adds the uncertainty of the motion that was not seen.",
+        unit="s",
+        above=0.0,
+    )
+    gap_acceleration_std: float = parameter(
+        0.5, "Acceleration that may go unseen in a gap, one sigma.", unit="m/s^2", low=0.0
+    )
+    gap_rate_std: float = parameter(
+        0.05, "Rate of turn that may go unseen in a gap, one sigma.", unit="rad/s", low=0.0
+    )
+
+
+@dataclass(frozen=True)
+class DvlParameters:
+    mount: tuple[float, ...] = parameter(
+        (0.0, 0.0, 0.0),
+        "Rotation from DVL axes to base_link axes, as roll, pitch, yaw of the DVL in base_link.",
+        unit="rad",
+        low=-2 * math.pi,
+        high=2 * math.pi,
+        length=3,
+    )
+    lever_arm: tuple[float, ...] = parameter(
+        (0.0, 0.0, 0.0), "Position of the DVL in base_link.", unit="m", length=3
+    )
+    noise_std: tuple[float, ...] = parameter(
+        (0.1, 0.1, 0.1),
+        "Noise of each velocity component, one sigma; a covariance in the message replaces it.",
+        unit="m/s",
+        low=1e-6,
+        length=3,
+    )
+    gyro_average: float = parameter(
+        0.25,
+        "The turn rate for the lever arm is the mean over this time, ending at the stamp.",
+        unit="s",
+        low=0.0,
+        high=10.0,
+    )
+    bias_model: str = parameter(
+        "none",
+        "Model of the slowly varying DVL error, three more states when it is on.",
+        choices=("none", "gauss_markov"),
+    )
+    bias_std: float = parameter(
+        0.01, "Stationary sigma of the first-order Gauss-Markov error.", unit="m/s", low=0.0
+    )
+    bias_time_constant: float = parameter(
+        10.0, "Correlation time of the first-order Gauss-Markov error.", unit="s", above=0.0
+    )
+
+
+@dataclass(frozen=True)
+class GateParameters:
+    enabled: bool = parameter(True, "Reject DVL measurements that fail the chi-square gate.")
+    probability: float = parameter(
+        0.999,
+        "Probability that a good measurement passes the gate.",
+        above=0.5,
+        high=1.0 - 1e-12,
+    )
+    max_rejections: int = parameter(
+        5,
+        "After this many rejections in a row the velocity covariance is inflated; after as many "
+        "more the velocity is initialised again from the DVL.",
+        low=1,
+    )
+
+
+@dataclass(frozen=True)
+class ProcessNoiseParameters:
+    source: str = parameter(
+        "constant",
+        "Where Q comes from: the nominal values; the innovations; the process_noise topic; the "
+        "covariances in imu/data_raw; the simulator's ground_truth/process_noise.",
+        choices=("constant", "adaptive", "external", "message", "oracle"),
+    )
+    convention: str = parameter(
+        "per_sample",
+        "Whether a variance is per IMU sample (density = variance / imu.rate) or is itself used "
+        "as the density.",
+        choices=("per_sample", "density"),
+    )
+    accelerometer_variance: tuple[float, ...] = parameter(
+        (0.01, 0.01, 0.01), "Nominal variance of each axis.", unit="(m/s^2)^2", low=0.0, length=3
+    )
+    gyroscope_variance: tuple[float, ...] = parameter(
+        (0.001, 0.001, 0.001), "Nominal variance of each axis.", unit="(rad/s)^2", low=0.0, length=3
+    )
+    accelerometer_bias_walk: float = parameter(
+        1e-9, "Density of the accelerometer bias walk.", unit="(m/s^2)^2/s", low=0.0
+    )
+    gyroscope_bias_walk: float = parameter(
+        1e-13, "Density of the gyroscope bias walk.", unit="(rad/s)^2/s", low=0.0
+    )
+    accelerometer_floor: float = parameter(
+        1e-8,
+        "Smallest variance that an external or message Q may set; counted when it acts.",
+        unit="(m/s^2)^2",
+        low=0.0,
+    )
+    gyroscope_floor: float = parameter(
+        1e-12,
+        "Smallest variance that an external or message Q may set; counted when it acts.",
+        unit="(rad/s)^2",
+        low=0.0,
+    )
+    adaptive_window: int = parameter(
+        5, "Number of innovations averaged by the adaptive source (xi).", low=1, high=1000
+    )
+    adaptive_form: str = parameter(
+        "floored",
+        "Whether the adaptive estimate is added to the nominal Q or replaces it.",
+        choices=("floored", "literal"),
+    )
+
+
+@dataclass(frozen=True)
+class InitialParameters:
+    mode: str = parameter(
+        "parameters",
+        "How the filter starts: from these values at the first IMU stamp; from the first message "
+        "of initial.topic; levelled with the accelerometer; on set_odometry only.",
+        choices=("parameters", "topic", "levelling", "set_odometry"),
+    )
+    topic: str = parameter("ground_truth/odometry", "Odometry topic of the mode 'topic'.")
+    levelling_time: float = parameter(
+        1.0, "Length of the mean specific force of the mode 'levelling'.", unit="s", above=0.0
+    )
+    position: tuple[float, ...] = parameter(
+        (0.0, 0.0, 0.0), "Position of base_link in odom.", unit="m", length=3
+    )
+    rpy: tuple[float, ...] = parameter(
+        (0.0, 0.0, 0.0),
+        "Roll, pitch, yaw of base_link in odom; 'levelling' uses the yaw only.",
+        unit="rad",
+        low=-2 * math.pi,
+        high=2 * math.pi,
+        length=3,
+    )
+    velocity: tuple[float, ...] = parameter(
+        (0.0, 0.0, 0.0), "Velocity of base_link, in initial.velocity_frame.", unit="m/s", length=3
+    )
+    velocity_frame: str = parameter(
+        "body",
+        "Axes in which the velocity and its uncertainty are declared.",
+        choices=("body", "nav"),
+    )
+    accelerometer_bias: tuple[float, ...] = parameter(
+        (0.0, 0.0, 0.0), "Bias of each axis, in IMU axes.", unit="m/s^2", length=3
+    )
+    gyroscope_bias: tuple[float, ...] = parameter(
+        (0.0, 0.0, 0.0), "Bias of each axis, in IMU axes.", unit="rad/s", length=3
+    )
+    velocity_std: float = parameter(0.1, "One sigma of each axis.", unit="m/s", low=0.0)
+    tilt_std: float = parameter(
+        math.radians(0.5), "One sigma of roll and pitch.", unit="rad", low=0.0
+    )
+    heading_std: float = parameter(
+        math.radians(1.0), "One sigma of the heading.", unit="rad", low=0.0
+    )
+    accelerometer_bias_std: float = parameter(
+        1e-3, "One sigma of each axis.", unit="m/s^2", low=0.0
+    )
+    gyroscope_bias_std: float = parameter(1e-5, "One sigma of each axis.", unit="rad/s", low=0.0)
+    position_std: float = parameter(0.1, "One sigma of each axis.", unit="m", low=0.0)
+
+
+@dataclass(frozen=True)
+class OriginParameters:
+    source: str = parameter(
+        "parameters",
+        "Whether odom's origin on the Earth is given here or is the first fix on gps/fix.",
+        choices=("parameters", "topic"),
+    )
+    latitude_deg: float = parameter(
+        32.0, "Geodetic latitude of the origin.", unit="deg", low=-90.0, high=90.0
+    )
+    longitude_deg: float = parameter(
+        34.0, "Longitude of the origin.", unit="deg", low=-180.0, high=360.0
+    )
+    height: float = parameter(
+        0.0, "Height of the origin above the ellipsoid.", unit="m", low=-12_000.0, high=100_000.0
+    )
+
+
+@dataclass(frozen=True)
+class FilterParameters:
+    """Parameters of the filter, for the node and for `insdvl replay`."""
+
+    frame_convention: str = parameter(
+        "enu",
+        "Axes of all topics and of all vectors in these parameters: east-north-up and "
+        "forward-left-up (REP-103), or north-east-down and forward-right-down.",
+        choices=("enu", "ned"),
+    )
+    odom_frame: str = parameter("odom", "frame_id of the output.")
+    base_frame: str = parameter("base_link", "child_frame_id of the output.")
+    error_state: str = parameter(
+        "invariant", "Coordinates of the velocity error.", choices=("invariant", "ned")
+    )
+    earth_rate: bool = parameter(True, "Model the rotation of the Earth.")
+    max_delay: float = parameter(
+        2.0,
+        "A message older than the newest IMU stamp by more than this is counted and dropped.",
+        unit="s",
+        low=0.0,
+        high=60.0,
+    )
+    output_delay: float = parameter(
+        0.0,
+        "Odometry is published this long after its stamp, with all that arrived until then.",
+        unit="s",
+        low=0.0,
+        high=60.0,
+    )
+    q_timeout: float = parameter(
+        5.0,
+        "A Q from a topic older than this (in stamps) falls back to the nominal.",
+        unit="s",
+        above=0.0,
+    )
+    imu: ImuParameters = field(default_factory=ImuParameters)
+    dvl: DvlParameters = field(default_factory=DvlParameters)
+    gate: GateParameters = field(default_factory=GateParameters)
+    process_noise: ProcessNoiseParameters = field(default_factory=ProcessNoiseParameters)
+    initial: InitialParameters = field(default_factory=InitialParameters)
+    origin: OriginParameters = field(default_factory=OriginParameters)
+
+    def __post_init__(self) -> None:
+        if self.output_delay > self.max_delay:
+            raise ParameterError(
+                f"parameter 'output_delay' must be at most max_delay ({self.max_delay:g} s), "
+                f"got {self.output_delay!r}"
+            )
+
+
+@dataclass(frozen=True)
+class TunerParameters:
+    """Parameters of the tuner, for the node and for `insdvl replay`."""
+
+    enabled: bool = parameter(True, "Publish process_noise; ~/enable changes it at run time.")
+    model: str = parameter(
+        "paper", "Name of a model that ships with insdvl, or the path of an .npz file."
+    )
+    rate: float = parameter(
+        1.0, "How often Q is learned, in the time of the stamps.", unit="Hz", above=0.0, high=100.0
+    )
+    max_gap: float = parameter(
+        0.1,
+        "A window that spans a longer interval between stamps is not used.",
+        unit="s",
+        above=0.0,
+    )
+
+
+@dataclass(frozen=True)
+class ReplayParameters:
+    """Parameters of the replay, for the node and for `insdvl replay`.
+
+    The topics are the names in the recording; an empty one, or one that is not in it, is not
+    played.
+    """
+
+    bag: str = parameter("", "Folder or file of the rosbag2 recording; the node needs it.")
+    rate_factor: float = parameter(
+        0.0,
+        "Speed against the stamps, with /clock for the consumers; 0 is real time without /clock.",
+        low=0.0,
+        high=1000.0,
+    )
+    min_subscribers: int = parameter(
+        1, "The node begins when imu/data_raw has this many subscriptions.", low=0, high=1000
+    )
+    imu_topic: str = parameter("/imu/data_raw", "sensor_msgs/Imu, played on imu/data_raw.")
+    dvl_topic: str = parameter("/dvl/velocity", "TwistStamped, played on dvl/velocity.")
+    dvl_covariance_topic: str = parameter(
+        "/dvl/velocity_cov", "TwistWithCovarianceStamped, played on dvl/velocity_cov."
+    )
+    process_noise_topic: str = parameter(
+        "/process_noise", "sensor_msgs/Imu, played on process_noise."
+    )
+    ground_truth_topic: str = parameter(
+        "/ground_truth/odometry", "nav_msgs/Odometry, played on ground_truth/odometry."
+    )
+    true_process_noise_topic: str = parameter(
+        "/ground_truth/process_noise", "sensor_msgs/Imu, played on ground_truth/process_noise."
+    )
+    fix_topic: str = parameter("/gps/fix", "sensor_msgs/NavSatFix, played on gps/fix.")
+    set_odometry_topic: str = parameter(
+        "/set_odometry", "nav_msgs/Odometry, played on set_odometry."
+    )
+
+
+@dataclass(frozen=True)
+class SimulatedNoiseParameters:
+    profile: str = parameter(
+        "varying",
+        "How the variances of the IMU's noise change: not at all (constant; constant-tableI is "
+        "0.01^2, 0.001^2); each channel stepwise within [0.001, 0.05] (varying) or [1e-5, 0.05] "
+        "(wide); all together between two levels (on-off); as a file says.",
+        choices=("constant", "constant-tableI", "varying", "wide", "on-off", "file"),
+    )
+    accelerometer_variance: tuple[float, ...] = parameter(
+        (0.01, 0.01, 0.01),
+        "Variance per sample of the profile 'constant', and of 'on-off' when off.",
+        unit="(m/s^2)^2",
+        low=0.0,
+        length=3,
+    )
+    gyroscope_variance: tuple[float, ...] = parameter(
+        (0.001, 0.001, 0.001),
+        "Variance per sample of the profile 'constant', and of 'on-off' when off.",
+        unit="(rad/s)^2",
+        low=0.0,
+        length=3,
+    )
+    on_factor: float = parameter(
+        20.0, "The variances of 'on-off' when on, as a multiple of those when off.", low=0.0
+    )
+    half_period: float = parameter(
+        30.0, "Time between the switches of 'on-off'.", unit="s", low=0.1
+    )
+    file: str = parameter(
+        "",
+        "CSV file of the profile 'file': time from the start, then the variances of f_b x, y, z "
+        "and w_ib_b x, y, z that hold from then on.",
+    )
+
+
+@dataclass(frozen=True)
+class SimulatedImuParameters:
+    rate: float = parameter(100.0, "Samples per second.", unit="Hz", low=1.0, high=10_000.0)
+    accelerometer_bias_std: float = parameter(
+        1e-3, "Turn-on bias of each axis, one sigma.", unit="m/s^2", low=0.0
+    )
+    gyroscope_bias_std: float = parameter(
+        1e-5, "Turn-on bias of each axis, one sigma.", unit="rad/s", low=0.0
+    )
+    accelerometer_bias_walk: float = parameter(
+        1e-9, "Density of the accelerometer bias walk.", unit="(m/s^2)^2/s", low=0.0
+    )
+    gyroscope_bias_walk: float = parameter(
+        1e-13, "Density of the gyroscope bias walk.", unit="(rad/s)^2/s", low=0.0
+    )
+
+
+@dataclass(frozen=True)
+class SimulatedDvlParameters:
+    rate: float = parameter(1.0, "Pings per second.", unit="Hz", low=0.01, high=100.0)
+    mount: tuple[float, ...] = parameter(
+        (0.0, 0.0, 0.0),
+        "Rotation from DVL axes to base_link axes, as roll, pitch, yaw of the DVL in base_link.",
+        unit="rad",
+        low=-2 * math.pi,
+        high=2 * math.pi,
+        length=3,
+    )
+    lever_arm: tuple[float, ...] = parameter(
+        (0.0, 0.0, 0.0), "Position of the DVL in base_link.", unit="m", length=3
+    )
+    noise_std: tuple[float, ...] = parameter(
+        (0.1, 0.1, 0.1),
+        "White noise of each velocity component, one sigma.",
+        unit="m/s",
+        low=0.0,
+        length=3,
+    )
+    bias_std: float = parameter(
+        0.0, "Stationary sigma of a first-order Gauss-Markov error.", unit="m/s", low=0.0
+    )
+    bias_time_constant: float = parameter(
+        10.0, "Correlation time of the first-order Gauss-Markov error.", unit="s", above=0.0
+    )
+    outages: tuple[float, ...] = parameter(
+        (0.0, 0.0),
+        "Times without pings, from the start of the mission: start, end, start, end and so on.",
+        unit="s",
+        low=0.0,
+    )
+    outlier_probability: float = parameter(
+        0.0, "Probability that a ping is an outlier.", low=0.0, high=1.0
+    )
+    outlier_size: float = parameter(
+        3.0, "Length of the vector that is added to an outlier.", unit="m/s", low=0.0
+    )
+
+    def __post_init__(self) -> None:
+        ordered = all(a <= b for a, b in zip(self.outages, self.outages[1:], strict=False))
+        if len(self.outages) % 2 or not ordered:
+            raise ParameterError(
+                "parameter 'dvl.outages' must be pairs of start and end in rising order, "
+                f"got {list(self.outages)!r}"
+            )
+
+
+@dataclass(frozen=True)
+class SimulatorParameters:
+    """Parameters of the simulator."""
+
+    frame_convention: str = parameter(
+        "enu",
+        "Axes of all topics and of all vectors in these parameters: east-north-up and "
+        "forward-left-up (REP-103), or north-east-down and forward-right-down.",
+        choices=("enu", "ned"),
+    )
+    odom_frame: str = parameter("odom", "frame_id of the true odometry.")
+    base_frame: str = parameter("base_link", "Frame of the vehicle and of the IMU.")
+    dvl_frame: str = parameter("dvl_link", "Frame of the DVL.")
+    trajectory: str = parameter(
+        "auv",
+        "The motion.",
+        choices=("straight", "circle", "lawn_mower", "spiral_dive", "auv", "static", "loop"),
+    )
+    duration: float = parameter(
+        0.0, "Length of the mission; 0 is all of the trajectory.", unit="s", low=0.0
+    )
+    seed: int = parameter(1, "Seed of all that is random.", low=0)
+    rate_factor: float = parameter(
+        0.0,
+        "Speed against real time, with /clock and stamps from start_stamp; 0 is real time without "
+        "/clock and with stamps from the wall time.",
+        low=0.0,
+        high=1000.0,
+    )
+    start_stamp: float = parameter(
+        0.0,
+        "Stamp of the start of the mission; with 0 it is the wall time unless rate_factor is set.",
+        unit="s",
+        low=0.0,
+        high=2e9,
+    )
+    wait_for_subscribers: int = parameter(
+        0, "Start when imu/data_raw has at least this many subscriptions.", low=0
+    )
+    exclusive_wait: float = parameter(
+        0.0,
+        "Look for another publisher of imu/data_raw for this long before the start, and refuse to "
+        "run beside it; 0 does not look.",
+        unit="s",
+        low=0.0,
+        high=60.0,
+    )
+    publish_covariance: bool = parameter(
+        False, "Put the true variances of each sample in imu/data_raw; zeros (unknown) if not."
+    )
+    earth_rate: bool = parameter(True, "Simulate the rotation of the Earth.")
+    noise: SimulatedNoiseParameters = field(default_factory=SimulatedNoiseParameters)
+    imu: SimulatedImuParameters = field(default_factory=SimulatedImuParameters)
+    dvl: SimulatedDvlParameters = field(default_factory=SimulatedDvlParameters)
+
+
+#: Sections of a YAML file, and the group that each one builds.
+SECTIONS: Mapping[str, type[Any]] = MappingProxyType(
+    {
+        "insdvl_filter": FilterParameters,
+        "insdvl_tuner": TunerParameters,
+        "insdvl_replay": ReplayParameters,
+        "insdvl_simulator": SimulatorParameters,
+    }
+)
+
+#: Names that rclpy gives to every node; they are no parameters of ours.
+ROS_NAMES = ("qos_overrides", "use_sim_time", "start_type_description_service")
+
+
+def is_ros_name(name: str) -> bool:
+    """Whether a parameter belongs to rclpy and not to us."""
+    return name.split(".")[0] in ROS_NAMES
+
+
+def load_section(path: Path, node: str, group: type[_Group]) -> _Group:
+    """A group from the sections of a ROS 2 parameter file that end in a node's name.
+
+    Raises:
+        ParameterError: The file cannot be read or is no parameter file, or `build` refuses it.
+    """
+    try:
+        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ParameterError(f"cannot read the parameter file {path}: {error}") from error
+    if not isinstance(document, dict):
+        raise ParameterError(f"{path} is no ROS 2 parameter file: it has no sections")
+    values: dict[str, Any] = {}
+    for section, body in document.items():
+        if str(section).rsplit("/", 1)[-1] != node:
+            continue
+        given = body.get("ros__parameters") if isinstance(body, dict) else None
+        if not isinstance(given, dict):
+            raise ParameterError(f"{path}: section {section!r} has no 'ros__parameters'")
+        values.update(_full_names(given))
+    try:
+        return build(group, {n: v for n, v in values.items() if not is_ros_name(n)})
+    except ParameterError as error:
+        raise ParameterError(f"{path}, section {node}: {error}") from error
+
+
+def _full_names(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            yield from _full_names(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value

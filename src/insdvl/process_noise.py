@@ -1,0 +1,94 @@
+"""Where the process noise comes from.
+
+The state record holds the variances in effect (``Q_f``, ``Q_w``), the stamp of a Q that was told
+(``q_ns``) and, for the adaptive source, a density in the model's coordinates (``Q_x``). These
+functions are the only ones that write them, apart from the time-out in the prediction kernel.
+
+Sources: `constant` keeps the nominal; `external`, `message` and `oracle` are told a `ProcessNoise`;
+`adaptive` estimates from the innovations.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl.events import NS
+from insdvl.parameters import FilterParameters, ProcessNoiseParameters
+from insdvl.state import NEVER, State
+
+Array = NDArray[np.float64]
+
+
+def nominal(parameters: ProcessNoiseParameters, C_b_i: Array) -> tuple[Array, Array]:
+    """Nominal variances per sample (Q_f, Q_w), each (3, 3), rotated from IMU to base_link axes."""
+    Q_f = C_b_i @ np.diag(parameters.accelerometer_variance) @ C_b_i.T
+    Q_w = C_b_i @ np.diag(parameters.gyroscope_variance) @ C_b_i.T
+    return Q_f, Q_w
+
+
+def floored(Q: Array, floor: float) -> tuple[Array, bool]:
+    """A covariance (3, 3) with no variance below a floor in any direction, and whether it acted."""
+    if np.count_nonzero(Q - np.diag(np.diagonal(Q))) == 0:
+        diagonal = np.diagonal(Q)
+        return np.diag(np.maximum(diagonal, floor)), bool((diagonal < floor).any())
+    variances, axes = np.linalg.eigh(Q)
+    if variances[0] >= floor:
+        return Q, False
+    return (axes * np.maximum(variances, floor)) @ axes.T, True
+
+
+class ProcessNoiseSource:
+    """Keeps the process noise of a state record up to date.
+
+    Args:
+        parameters: Of the filter.
+        C_b_i: (3, 3) rotation from IMU to base_link axes.
+    """
+
+    def __init__(self, parameters: FilterParameters, C_b_i: Array) -> None:
+        self._parameters = parameters.process_noise
+        self._C_b_i = C_b_i
+        self.Q_f_nominal, self.Q_w_nominal = nominal(parameters.process_noise, C_b_i)
+        adaptive = parameters.process_noise.source == "adaptive"
+        #: Number of innovations in the state record.
+        self.window = parameters.process_noise.adaptive_window if adaptive else 0
+
+    def start(self, s: State) -> None:
+        """The nominal Q takes effect."""
+        s["Q_f"], s["Q_w"], s["q_ns"] = self.Q_f_nominal, self.Q_w_nominal, NEVER
+        s["Q_x"], s["innovation_count"] = 0.0, 0
+
+    def told(self, s: State, stamp_ns: int, Q_f: Array | None, Q_w: Array | None) -> None:
+        """A Q in IMU axes takes effect; a part that is None (unknown) is nominal from now on."""
+        acted = False
+        if Q_f is None:
+            Q_f = self.Q_f_nominal
+        else:
+            Q_f, low = floored(Q_f, self._parameters.accelerometer_floor)
+            Q_f, acted = self._C_b_i @ Q_f @ self._C_b_i.T, acted or low
+        if Q_w is None:
+            Q_w = self.Q_w_nominal
+        else:
+            Q_w, low = floored(Q_w, self._parameters.gyroscope_floor)
+            Q_w, acted = self._C_b_i @ Q_w @ self._C_b_i.T, acted or low
+        s["Q_f"], s["Q_w"], s["q_ns"] = Q_f, Q_w, stamp_ns
+        s["floors"] += int(acted)
+
+    def innovated(self, s: State, K: Array, innovation: Array) -> None:
+        """After an accepted update the adaptive source estimates Q from the last xi innovations.
+
+        Q_x = K (1/xi sum nu nu^T) K^T (Or and Klein, section II; Mohamed and Schwarz, 1999) is the
+        covariance of the steps up to the next update, spread evenly over the interval.
+
+        Args:
+            K: (n, 3) gain of the update.
+            innovation: (3,) of the update.
+        """
+        if not self.window:
+            return
+        slot = int(s["innovation_count"]) % self.window
+        s["innovations"][slot] = innovation
+        s["innovation_count"] += 1
+        interval_ns = int(s["time_ns"]) - int(s["dvl_ns"])
+        if s["innovation_count"] >= self.window and s["dvl_ns"] != NEVER and interval_ns > 0:
+            nu = s["innovations"]
+            s["Q_x"] = K @ (nu.T @ nu / self.window) @ K.T / (interval_ns / NS)

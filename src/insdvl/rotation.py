@@ -1,0 +1,119 @@
+"""Small vector and rotation kernels on (3,) and (3, 3) arrays; results go into the first argument."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl.kernels import kernel
+
+Array = NDArray[np.float64]
+
+#: Below this squared angle the series are exact to rounding, and no sine is needed.
+_SMALL_ANGLE_SQUARED = 1e-4
+
+
+@kernel
+def skew(out: Array, a: Array) -> None:
+    """out = [a x]."""
+    out[0, 0] = 0.0
+    out[0, 1] = -a[2]
+    out[0, 2] = a[1]
+    out[1, 0] = a[2]
+    out[1, 1] = 0.0
+    out[1, 2] = -a[0]
+    out[2, 0] = -a[1]
+    out[2, 1] = a[0]
+    out[2, 2] = 0.0
+
+
+@kernel
+def cross(out: Array, a: Array, b: Array) -> None:
+    """out = a x b; `out` is neither of them."""
+    out[0] = a[1] * b[2] - a[2] * b[1]
+    out[1] = a[2] * b[0] - a[0] * b[2]
+    out[2] = a[0] * b[1] - a[1] * b[0]
+
+
+@kernel
+def rotate(out: Array, A: Array, x: Array) -> None:
+    """out = A x; `out` is not x."""
+    for i in range(3):
+        out[i] = A[i, 0] * x[0] + A[i, 1] * x[1] + A[i, 2] * x[2]
+
+
+@kernel
+def rotate_back(out: Array, A: Array, x: Array) -> None:
+    """out = A^T x; `out` is not x."""
+    for i in range(3):
+        out[i] = A[0, i] * x[0] + A[1, i] * x[1] + A[2, i] * x[2]
+
+
+@kernel
+def product(out: Array, A: Array, B: Array) -> None:
+    """out = A B; `out` is neither of them."""
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = A[i, 0] * B[0, j] + A[i, 1] * B[1, j] + A[i, 2] * B[2, j]
+
+
+@kernel
+def product_transposed(out: Array, A: Array, B: Array) -> None:
+    """out = A B^T; `out` is neither of them."""
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = A[i, 0] * B[j, 0] + A[i, 1] * B[j, 1] + A[i, 2] * B[j, 2]
+
+
+@kernel
+def exponential(R: Array, R_mean: Array, x: float, y: float, z: float) -> None:
+    """R = exp([phi x]), and its mean over the turn, R_mean = int_0^1 exp([s phi x]) ds.
+
+    With t = |phi|^2 (Barfoot, State Estimation for Robotics, 2017, eqs. (7.23) and (7.37)):
+
+        R      = I + a [phi x] + b [phi x]^2,   a = sin|phi| / |phi|,  b = (1 - cos|phi|) / t
+        R_mean = I + b [phi x] + c [phi x]^2,   c = (1 - a) / t
+
+    Args:
+        x, y, z: The rotation vector phi [rad].
+    """
+    t = x * x + y * y + z * z
+    if t < _SMALL_ANGLE_SQUARED:
+        a = 1.0 - t / 6.0 * (1.0 - t / 20.0)
+        b = 0.5 - t / 24.0 * (1.0 - t / 30.0)
+        c = 1.0 / 6.0 - t / 120.0 * (1.0 - t / 42.0)
+    else:
+        angle = np.sqrt(t)
+        a = np.sin(angle) / angle
+        b = (1.0 - np.cos(angle)) / t
+        c = (1.0 - a) / t
+    _polynomial(R, a, b, x, y, z)
+    _polynomial(R_mean, b, c, x, y, z)
+
+
+@kernel
+def _polynomial(out: Array, a: float, b: float, x: float, y: float, z: float) -> None:
+    """out = I + a [phi x] + b [phi x]^2."""
+    out[0, 0] = 1.0 - b * (y * y + z * z)
+    out[0, 1] = -a * z + b * x * y
+    out[0, 2] = a * y + b * x * z
+    out[1, 0] = a * z + b * x * y
+    out[1, 1] = 1.0 - b * (x * x + z * z)
+    out[1, 2] = -a * x + b * y * z
+    out[2, 0] = -a * y + b * x * z
+    out[2, 1] = a * x + b * y * z
+    out[2, 2] = 1.0 - b * (x * x + y * y)
+
+
+@kernel
+def orthonormalise(C: Array, scratch: Array) -> None:
+    """One Newton step towards the nearest rotation, C <- C (3 I - C^T C) / 2, in place.
+
+    It squares the distance from orthonormality, so one step after each product keeps C at rounding.
+    """
+    for i in range(3):
+        for j in range(3):
+            dot = C[0, i] * C[0, j] + C[1, i] * C[1, j] + C[2, i] * C[2, j]
+            scratch[i, j] = (1.5 if i == j else 0.0) - 0.5 * dot
+    for i in range(3):
+        a, b, c = C[i, 0], C[i, 1], C[i, 2]
+        for j in range(3):
+            C[i, j] = a * scratch[0, j] + b * scratch[1, j] + c * scratch[2, j]

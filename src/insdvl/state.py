@@ -1,0 +1,170 @@
+"""The filter's whole memory as one flat record, so that a snapshot is a copy of it.
+
+A record is a numpy structured scalar: its fields are named in Python and in the kernels alike, and
+it passes between the two without conversion. Everything that the future depends on is in it.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl.kernels import kernel
+from insdvl.parameters import FilterParameters
+
+#: A state record. Its fields are those of `state_type`.
+State = np.void
+#: Constants of a filter, see `constants_type`.
+Constants = np.void
+#: Scratch memory of the kernels, see `workspace_type`.
+Workspace = np.void
+
+#: Stamp of something that has not happened.
+NEVER = -(2**62)
+
+
+def state_size(parameters: FilterParameters) -> int:
+    """Number of error states n: 15, and 3 more with a model of the DVL's error."""
+    return 15 if parameters.dvl.bias_model == "none" else 18
+
+
+def state_type(n: int, window: int) -> np.dtype[np.void]:
+    """Type of the state record.
+
+    Args:
+        n: Number of error states, 15 or 18.
+        window: Number of innovations that the adaptive process noise keeps, 0 for none.
+    """
+    adaptive = n if window else 0
+    return np.dtype(
+        [
+            # Time
+            ("time_ns", "i8"),  # stamp of the state
+            ("imu_ns", "i8"),  # stamp of the last IMU sample that is complete
+            # Origin of odom on the Earth, nan until it is known: lat, lon [rad], h [m]
+            ("lat_0", "f8"),
+            ("lon_0", "f8"),
+            ("h_0", "f8"),
+            # Nominal state, at the IMU, in the axes of base_link and NED
+            ("initialised", "i8"),
+            ("C_n_b", "f8", (3, 3)),
+            ("v_n", "f8", (3,)),  # m/s
+            ("p_n", "f8", (3,)),  # m from the origin
+            ("b_f", "f8", (3,)),  # accelerometer bias, m/s^2
+            ("b_w", "f8", (3,)),  # gyroscope bias, rad/s
+            ("b_d", "f8", (3,)),  # DVL error in DVL axes, m/s
+            ("w_nb_b", "f8", (3,)),  # turn rate over the last step, rad/s
+            # Covariance of the error state, in the order of error_state.py
+            ("P", "f8", (n, n)),
+            # Process noise in effect: variances per sample in base_link axes
+            ("Q_f", "f8", (3, 3)),  # (m/s^2)^2
+            ("Q_w", "f8", (3, 3)),  # (rad/s)^2
+            ("q_ns", "i8"),  # stamp of a Q that was told, NEVER while the nominal is in effect
+            # Adaptive process noise: density in the model's coordinates, and past innovations
+            ("Q_x", "f8", (adaptive, adaptive)),
+            ("innovations", "f8", (window, 3)),
+            ("innovation_count", "i8"),
+            # Gate, and the stamp of the last DVL measurement
+            ("rejections", "i8"),  # in a row
+            ("dvl_ns", "i8"),
+            # Levelling: sum of the specific force, number of samples, stamp of the first
+            ("level_f", "f8", (3,)),
+            ("level_count", "i8"),
+            ("level_ns", "i8"),
+            # Counters for diagnostics
+            ("gaps", "i8"),
+            ("q_timeouts", "i8"),
+            ("floors", "i8"),
+            ("inflations", "i8"),
+            ("restarts", "i8"),
+        ],
+        align=True,
+    )
+
+
+#: Counters in the state record, by their names in diagnostics.
+COUNTERS = ("gaps", "q_timeouts", "floors", "inflations", "restarts")
+
+
+def empty_state(n: int, window: int) -> NDArray[np.void]:
+    """One state record, in an array of length 1, of a filter to which nothing has happened."""
+    states = np.zeros(1, state_type(n, window))
+    for name in ("time_ns", "imu_ns", "q_ns", "dvl_ns", "level_ns"):
+        states[name] = NEVER
+    for name in ("lat_0", "lon_0", "h_0"):
+        states[name] = np.nan
+    return states
+
+
+def constants_type(n: int) -> np.dtype[np.void]:
+    """Type of the constants record of a filter with n error states."""
+    return np.dtype(
+        [
+            ("invariant", "i8"),  # 1: error_state 'invariant', 0: 'ned'
+            ("earth_rate", "i8"),
+            # Process noise
+            ("rate", "f8"),  # Hz
+            ("density", "f8"),  # density per variance: 1 / rate, or 1 [s]
+            ("eps_f", "f8"),  # density of the accelerometer bias walk
+            ("eps_w", "f8"),
+            ("Q_f_nominal", "f8", (3, 3)),
+            ("Q_w_nominal", "f8", (3, 3)),
+            ("q_timeout_ns", "i8"),
+            ("literal", "i8"),  # 1: the adaptive estimate replaces the input noise
+            ("gap_ns", "i8"),
+            ("gap_f", "f8"),  # unseen acceleration, one sigma
+            ("gap_w", "f8"),
+            # DVL
+            ("C_d_b", "f8", (3, 3)),  # base_link to DVL
+            ("l_b", "f8", (3,)),  # from the IMU to the DVL, base_link axes, m
+            ("bias_variance", "f8"),  # of the Gauss-Markov error, stationary
+            ("bias_rate", "f8"),  # 1 / time constant
+        ],
+        align=True,
+    )
+
+
+def workspace_type(n: int) -> np.dtype[np.void]:
+    """Type of the scratch record: what a step leaves for the Jacobians, and their results."""
+    return np.dtype(
+        [
+            # Of the last mechanisation step, at its middle
+            ("C_mean", "f8", (3, 3)),  # mean of C_n_b over the step
+            ("f_n", "f8", (3,)),  # specific force
+            ("g_n", "f8", (3,)),
+            ("v_n", "f8", (3,)),
+            ("w_ie_n", "f8", (3,)),
+            ("w_en_n", "f8", (3,)),
+            ("w_in_n", "f8", (3,)),
+            ("W_v", "f8", (3, 3)),  # d w_en / d v_n
+            # Error dynamics and discretisation
+            ("F", "f8", (n, n)),
+            ("Phi", "f8", (n, n)),
+            ("Q_d", "f8", (n, n)),
+            ("A", "f8", (n, n)),
+            ("B", "f8", (n, n)),
+            # Measurement
+            ("H", "f8", (3, n)),
+            ("R", "f8", (3, 3)),
+            ("S", "f8", (3, 3)),
+            ("S_inv", "f8", (3, 3)),
+            ("K", "f8", (n, 3)),
+            ("innovation", "f8", (3,)),
+            # Scratch
+            ("N1", "f8", (3, 3)),
+            ("N2", "f8", (3, 3)),
+            ("M1", "f8", (3, 3)),
+            ("M2", "f8", (3, 3)),
+            ("M3", "f8", (3, 3)),
+            ("M4", "f8", (3, 3)),
+            ("x1", "f8", (3,)),
+            ("x2", "f8", (3,)),
+            ("x3", "f8", (3,)),
+            ("x4", "f8", (3,)),
+        ],
+        align=True,
+    )
+
+
+@kernel
+def store(states: NDArray[np.void], k: int, s: State) -> None:
+    """states[k] = s."""
+    states[k] = s
