@@ -161,7 +161,7 @@ class Trajectory:
         Raises:
             ValueError: A time is not within the trajectory.
         """
-        t = np.ascontiguousarray(t, dtype=float)
+        t = np.array(t, dtype=float)
         outside = ~((t >= 0.0) & (t <= self.duration))
         if outside.any():
             raise ValueError(
@@ -455,14 +455,13 @@ AUV = Trajectory(
     pivot=0.5,
 )
 
-#: Motions for tests of the mathematics: they last an hour and have constant rates.
+#: Motions for tests of the mathematics: an hour at constant rates, at rest and on a level circle.
 STATIC = Trajectory(duration=3600.0, speed=Channel(), heading=Channel(radians(30.0)))
 LOOP = Trajectory(
     duration=3600.0,
     speed=Channel(1.5),
     heading=Channel(slope=2.0 * math.pi / 120.0),
     bank=0.5,
-    pivot=0.5,
 )
 
 _NAMED = {**BASELINE, "auv": AUV, "static": STATIC, "loop": LOOP}

@@ -1,0 +1,241 @@
+"""A whole mission: truth, IMU and DVL of one vehicle and one seed."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl.events import NS
+from insdvl.frames import CONVENTIONS, rotation_from_rpy
+from insdvl.parameters import ParameterError, SimulatorParameters
+from insdvl.simulation import noise as profiles
+from insdvl.simulation.dvl import DvlModel, ideal_velocity
+from insdvl.simulation.imu import biases, ideal_imu, white_noise
+from insdvl.simulation.noise import NoiseProfile, ProfileFactory
+from insdvl.simulation.trajectories import Trajectory, Truth, trajectory_named
+
+Array = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class ImuModel:
+    """An IMU and its errors but for the white noise, which a profile describes.
+
+    Attributes:
+        rate: [Hz].
+        accelerometer_bias_std: Turn-on bias of each axis, one sigma [m/s^2].
+        gyroscope_bias_std: Turn-on bias of each axis, one sigma [rad/s].
+        accelerometer_bias_walk: Density of the bias walk [(m/s^2)^2/s].
+        gyroscope_bias_walk: Density of the bias walk [(rad/s)^2/s].
+    """
+
+    rate: float = 100.0
+    accelerometer_bias_std: float = 1e-3
+    gyroscope_bias_std: float = 1e-5
+    accelerometer_bias_walk: float = 1e-9
+    gyroscope_bias_walk: float = 1e-13
+
+
+@dataclass(frozen=True)
+class Mission:
+    """What happened, and what the sensors said. Frames are NED and forward-right-down.
+
+    Row k of the IMU arrays belongs to the interval that ends at ``stamps_ns[k]``.
+
+    Attributes:
+        start_ns: Stamp of the start.
+        initial: Truth at the start, N = 1.
+        stamps_ns: (N,) stamps of the IMU; the first is one interval after the start.
+        truth: Truth at the stamps of the IMU.
+        f_b: (N, 3) accelerometer readings [m/s^2].
+        w_ib_b: (N, 3) gyroscope readings [rad/s].
+        q: (N, 6) variance of the noise in each sample, channels as in `noise`.
+        bias: (N, 6) bias in each sample.
+        profile: The noise profile that was drawn.
+        dvl_stamps_ns: (M,) stamps of the DVL, without those in outages.
+        v_d: (M, 3) DVL readings, in DVL axes [m/s].
+        dvl_outlier: (M,) which DVL readings are outliers.
+    """
+
+    start_ns: int
+    initial: Truth
+    stamps_ns: Stamps
+    truth: Truth
+    f_b: Array
+    w_ib_b: Array
+    q: Array
+    bias: Array
+    profile: NoiseProfile
+    dvl_stamps_ns: Stamps
+    v_d: Array
+    dvl_outlier: NDArray[np.bool_]
+
+    def process_noise(self, every_ns: int = NS) -> tuple[Stamps, Array]:
+        """Stamps (K,) and the variances (K, 6) that hold from each of them on.
+
+        There is one at the start, at every change, and at every multiple of ``every_ns`` after the
+        start.
+        """
+        begins = np.concatenate([[self.start_ns], self.stamps_ns[:-1]])
+        changed = (self.q[1:] != self.q[:-1]).any(axis=1)
+        regular = np.arange(self.start_ns, self.stamps_ns[-1], every_ns)
+        stamps = np.union1d(regular, begins[1:][changed])
+        return stamps, self.q[np.searchsorted(begins, stamps, side="right") - 1]
+
+
+DEFAULT_IMU = ImuModel()
+DEFAULT_DVL = DvlModel()
+
+
+def _stamps(duration: float, rate: float) -> Stamps:
+    """Nanoseconds k / rate, k = 1, 2, ... to the duration, each rounded on its own."""
+    count = int(duration * rate * (1.0 + 1e-12))  # the product may be rounded down
+    return np.rint(np.arange(1, count + 1) * (NS / rate)).astype(np.int64)
+
+
+@lru_cache(maxsize=4)
+def _clean(
+    trajectory: Trajectory, duration: float, rate: float, earth_rate: bool
+) -> tuple[Stamps, Truth, Array, Array]:
+    """Stamps, truth and perfect readings: what all runs of a Monte Carlo study share."""
+    elapsed_ns = _stamps(duration, rate)
+    t = np.minimum(elapsed_ns / NS, duration)  # a stamp may be rounded up
+    truth = trajectory.truth(t, earth_rate=earth_rate)
+    f_b, w_ib_b = ideal_imu(trajectory, t, 1.0 / rate, earth_rate=earth_rate)
+    for array in (elapsed_ns, f_b, w_ib_b, *vars(truth).values()):
+        array.setflags(write=False)
+    return elapsed_ns, truth, f_b, w_ib_b
+
+
+def simulate(
+    trajectory: Trajectory,
+    noise: ProfileFactory,
+    *,
+    seed: int,
+    duration: float | None = None,
+    imu: ImuModel = DEFAULT_IMU,
+    dvl: DvlModel = DEFAULT_DVL,
+    earth_rate: bool = True,
+    start_ns: int = 0,
+) -> Mission:
+    """Simulate a mission.
+
+    Every sensor and every kind of error draws from a stream of its own, all of them children of the
+    seed. A changed setting therefore leaves all other errors as they were, to the bit, so that runs
+    can be compared in pairs; a longer mission begins as the shorter one.
+
+    Args:
+        trajectory: The motion.
+        noise: Factory of the noise profile, such as one of `noise.SCENARIOS`.
+        seed: Of all that is random.
+        duration: Shorter than the trajectory [s]; all of it by default.
+        imu: The IMU.
+        dvl: The DVL.
+        earth_rate: See `Trajectory.truth`.
+        start_ns: Stamp of the start.
+
+    Raises:
+        ValueError: The duration is longer than the trajectory or shorter than one IMU interval.
+    """
+    if duration is None:
+        duration = trajectory.duration
+    if not 1.0 / imu.rate <= duration <= trajectory.duration:
+        raise ValueError(
+            f"duration must be within {1.0 / imu.rate:g} to {trajectory.duration:g} s, "
+            f"got {duration!r}"
+        )
+    profile_rng, noise_rng, bias_rng, dvl_rng = np.random.default_rng(seed).spawn(4)
+    dt = 1.0 / imu.rate
+    elapsed_ns, truth, f_b, w_ib_b = _clean(trajectory, duration, imu.rate, earth_rate)
+
+    profile = noise(duration, profile_rng)
+    # A sample has the variance that holds where its interval begins.
+    q = profile.variance_at(np.concatenate([[0.0], elapsed_ns[:-1] / NS]))
+    bias = biases(
+        elapsed_ns.size,
+        dt,
+        np.repeat([imu.accelerometer_bias_std, imu.gyroscope_bias_std], 3),
+        np.repeat([imu.accelerometer_bias_walk, imu.gyroscope_bias_walk], 3),
+        bias_rng,
+    )
+    error = bias + white_noise(q, noise_rng)
+
+    ping_ns = _stamps(duration, dvl.rate)
+    pings = trajectory.truth(np.minimum(ping_ns / NS, duration), earth_rate=earth_rate)
+    dvl_error, is_outlier = dvl.errors(pings.t, dvl_rng)
+    seen = dvl.available(pings.t)
+    v_d = ideal_velocity(pings, dvl) + dvl_error
+    return Mission(
+        start_ns=start_ns,
+        initial=trajectory.truth(np.zeros(1), earth_rate=earth_rate),
+        stamps_ns=start_ns + elapsed_ns,
+        truth=truth,
+        f_b=f_b + error[:, :3],
+        w_ib_b=w_ib_b + error[:, 3:],
+        q=q,
+        bias=bias,
+        profile=profile,
+        dvl_stamps_ns=start_ns + ping_ns[seen],
+        v_d=v_d[seen],
+        dvl_outlier=is_outlier[seen],
+    )
+
+
+def mission_of(parameters: SimulatorParameters) -> Mission:
+    """The mission that the parameters describe; it starts at stamp 0.
+
+    Raises:
+        ParameterError: The noise file cannot be used, or the duration is longer than the
+            trajectory.
+    """
+    convention = CONVENTIONS[parameters.frame_convention]
+    trajectory = trajectory_named(parameters.trajectory)
+    imu, dvl = parameters.imu, parameters.dvl
+    model = DvlModel(
+        rate=dvl.rate,
+        C_b_d=convention.body_rotation(rotation_from_rpy(np.array(dvl.mount))),
+        l_b_dvl=convention.body @ np.array(dvl.lever_arm),
+        noise_std=np.array(dvl.noise_std),
+        bias_std=dvl.bias_std,
+        bias_time_constant=dvl.bias_time_constant,
+        outages=tuple(zip(dvl.outages[::2], dvl.outages[1::2], strict=True)),
+        outlier_probability=dvl.outlier_probability,
+        outlier_size=dvl.outlier_size,
+    )
+    noise = _noise(parameters)
+    try:
+        return simulate(
+            trajectory,
+            noise,
+            seed=parameters.seed,
+            duration=parameters.duration or trajectory.duration,
+            imu=ImuModel(
+                rate=imu.rate,
+                accelerometer_bias_std=imu.accelerometer_bias_std,
+                gyroscope_bias_std=imu.gyroscope_bias_std,
+                accelerometer_bias_walk=imu.accelerometer_bias_walk,
+                gyroscope_bias_walk=imu.gyroscope_bias_walk,
+            ),
+            dvl=model,
+            earth_rate=parameters.earth_rate,
+        )
+    except ValueError as error:
+        raise ParameterError(f"parameter 'duration': {error}") from None
+
+
+def _noise(parameters: SimulatorParameters) -> ProfileFactory:
+    noise = parameters.noise
+    level = np.array([*noise.accelerometer_variance, *noise.gyroscope_variance])
+    if noise.profile == "constant":
+        return profiles.constant(level)
+    if noise.profile == "on-off":
+        return profiles.on_off(level, noise.on_factor * level, noise.half_period)
+    if noise.profile == "file":
+        try:
+            return profiles.from_file(Path(noise.file))
+        except ValueError as error:
+            raise ParameterError(f"parameter 'noise.file': {error}") from None
+    return profiles.SCENARIOS[noise.profile]

@@ -1,0 +1,147 @@
+"""Profiles of the IMU's noise: variances per sample that change stepwise in time.
+
+A profile is made by a factory, ``factory(duration, rng) -> NoiseProfile``, which draws what is
+random in it. Channels are ordered f_b x, y, z [(m/s^2)^2], then w_ib_b x, y, z [(rad/s)^2].
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+ACCELEROMETER_VARIANCE = 0.01  # (m/s^2)^2
+GYROSCOPE_VARIANCE = 0.001  # (rad/s)^2
+
+
+@dataclass(frozen=True)
+class NoiseProfile:
+    """Variances of the six channels, constant from each time to the next.
+
+    Attributes:
+        times: (K,) where the variances start to hold, from 0, increasing [s].
+        variances: (K, 6) not negative.
+    """
+
+    times: Array
+    variances: Array
+
+    def __post_init__(self) -> None:
+        if self.variances.shape != (self.times.size, 6):
+            raise ValueError(
+                f"variances must be of shape ({self.times.size}, 6), got {self.variances.shape}"
+            )
+        increasing = np.isfinite(self.times).all() and (np.diff(self.times) > 0.0).all()
+        if not self.times.size or self.times[0] != 0.0 or not increasing:
+            raise ValueError(f"times must start at 0 and increase, got {self.times.tolist()}")
+        wrong = ~(np.isfinite(self.variances) & (self.variances >= 0.0))
+        if wrong.any():
+            raise ValueError(f"variances must be finite and >= 0, got {self.variances[wrong][0]!r}")
+
+    def variance_at(self, t: ArrayLike) -> Array:
+        """Variances (N, 6) at times t (N,) >= 0; at a change it is the new one."""
+        return self.variances[np.searchsorted(self.times, t, side="right") - 1]
+
+
+ProfileFactory = Callable[[float, np.random.Generator], NoiseProfile]
+
+
+def constant(variances: ArrayLike) -> ProfileFactory:
+    """The same variances (6,) all the time."""
+    level = np.array(variances, dtype=float).reshape(1, -1)
+    return lambda duration, rng: NoiseProfile(np.zeros(1), level)
+
+
+def segments(
+    low: float, high: float, shortest: float = 15.0, longest: float = 45.0
+) -> ProfileFactory:
+    """Each channel on its own keeps a log-uniform variance for a uniformly drawn time.
+
+    Args:
+        low: Smallest variance.
+        high: Largest variance.
+        shortest: Shortest segment [s].
+        longest: Longest segment [s].
+    """
+
+    def draw(duration: float, rng: np.random.Generator) -> NoiseProfile:
+        starts, levels = [], []
+        most = int(duration / shortest) + 1
+        for channel in rng.spawn(6):
+            # Row by row, so that a longer profile begins as the shorter one.
+            draws = channel.random((most, 2))
+            ends = np.cumsum(shortest + (longest - shortest) * draws[:, 0])
+            starts.append(np.concatenate([[0.0], ends[ends < duration]]))
+            levels.append(np.exp(np.log(low) + np.log(high / low) * draws[:, 1]))
+        times = np.unique(np.concatenate(starts))
+        columns = [
+            level[np.searchsorted(start, times, side="right") - 1]
+            for start, level in zip(starts, levels, strict=True)
+        ]
+        return NoiseProfile(times, np.stack(columns, axis=1))
+
+    return draw
+
+
+def on_off(off: ArrayLike, on: ArrayLike, half_period: float) -> ProfileFactory:
+    """All channels switch together between the variances ``off`` (6,), which are first, and ``on``.
+
+    Args:
+        off: Variances of the first half period.
+        on: Variances of the second.
+        half_period: Time between switches [s].
+    """
+    levels = np.array([off, on], dtype=float)
+
+    def switch(duration: float, rng: np.random.Generator) -> NoiseProfile:
+        times = half_period * np.arange(max(1, np.ceil(duration / half_period)), dtype=float)
+        return NoiseProfile(times, levels[np.arange(times.size) % 2])
+
+    return switch
+
+
+def from_file(path: Path) -> ProfileFactory:
+    """A profile from a CSV file: time [s], then the six variances that hold from then on.
+
+    Empty lines and what follows a ``#`` are left out.
+
+    Raises:
+        ValueError: The file cannot be read, or a line is wrong; the message names it.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"cannot read the noise profile {path}: {error}") from error
+    rows = []
+    for number, line in enumerate(lines, start=1):
+        text = line.split("#", 1)[0].strip()
+        if not text:
+            continue
+        cells = text.split(",")
+        try:
+            row = [float(cell) for cell in cells]
+        except ValueError:
+            raise ValueError(f"{path}, line {number}: not seven numbers: {text!r}") from None
+        if len(row) != 7:
+            raise ValueError(f"{path}, line {number}: 7 values are needed, got {len(row)}")
+        rows.append(row)
+    if not rows:
+        raise ValueError(f"{path} has no line with a time and six variances")
+    table = np.array(rows)
+    try:
+        profile = NoiseProfile(table[:, 0], table[:, 1:])
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+    return lambda duration, rng: profile
+
+
+#: The scenarios of the evaluation.
+SCENARIOS: dict[str, ProfileFactory] = {
+    "constant": constant([ACCELEROMETER_VARIANCE] * 3 + [GYROSCOPE_VARIANCE] * 3),
+    "constant-tableI": constant([ACCELEROMETER_VARIANCE**2] * 3 + [GYROSCOPE_VARIANCE**2] * 3),
+    "varying": segments(1e-3, 0.05),
+    "wide": segments(1e-5, 0.05),
+}
