@@ -1,0 +1,139 @@
+"""What the simulator and the replay share: a node that plays messages at the pace of their stamps.
+
+Messages are sent from a thread of their own, by the steady clock. A player that was held up catches
+up: it never skips a message, and no error of the pace accumulates.
+"""
+
+import sys
+import threading
+import time
+from abc import abstractmethod
+from collections.abc import Iterator
+from typing import Any, TypeVar
+
+from rclpy.duration import Duration
+from rosgraph_msgs.msg import Clock
+
+from insdvl.events import NS
+from ros_insdvl.conversions import time_of
+from ros_insdvl.node import InsdvlNode, Output
+
+_Group = TypeVar("_Group")
+
+CLOCK_PERIOD = 0.02  # s of the steady clock between messages on /clock
+SETTLE_TIME = 1.0  # s without a new subscription after which all have been discovered
+ACKNOWLEDGE_TIME = 30.0  # s to wait for messages to arrive
+UNACKNOWLEDGED = 500  # messages of a topic that may be under way; the writers keep 2000
+
+
+class Player(InsdvlNode[_Group]):
+    """A node that plays its timeline once and then finishes."""
+
+    def start_playing(
+        self, *, rate_factor: float, min_subscribers: int, exclusive_wait: float = 0.0
+    ) -> None:
+        """Play in a thread, when the consumers are there.
+
+        Args:
+            rate_factor: Speed against the stamps, with /clock; 0 is real time without /clock.
+            min_subscribers: Subscriptions of imu/data_raw to wait for.
+            exclusive_wait: How long to look for another publisher of imu/data_raw [s]. Where there
+                is one, nothing is sent and the node finishes with exit code 1.
+        """
+        self._rate = rate_factor or 1.0
+        self._min_subscribers = min_subscribers
+        self._exclusive_wait = exclusive_wait
+        self._clock_output = self.create_publisher(Clock, "/clock", 10) if rate_factor else None
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._play, name="player", daemon=True)
+        self._thread.start()
+
+    @abstractmethod
+    def timeline(self) -> Iterator[tuple[int, str, Any]]:
+        """Time [ns], topic and message of all there is to send; times do not decrease.
+
+        It is asked for when the consumers are there. The first time is when playing begins.
+        """
+
+    def destroy_node(self) -> None:
+        """Stop playing, then take the node down."""
+        if hasattr(self, "_thread"):
+            self._stop.set()
+            self._thread.join()
+        super().destroy_node()
+
+    def _play(self) -> None:
+        try:
+            if self._wait_for_graph() and self._send_all():
+                self._finish_when_arrived()
+        except Exception as error:  # an exception in a thread would end nothing
+            print(f"{self.get_name()} failed: {error!r}", file=sys.stderr)
+            self.finish(1)
+
+    def _wait_for_graph(self) -> bool:
+        """Whether the consumers are there; False where the node ends before."""
+        self.get_logger().info(f"waiting for {self._min_subscribers} subscriptions of imu/data_raw")
+        started = settled = time.monotonic()
+        listeners: list[int] = []
+        while not self._stop.wait(0.01):
+            now = time.monotonic()
+            if self._exclusive_wait and self.count_publishers("imu/data_raw") > 1:
+                topic = self.resolve_topic_name("imu/data_raw")
+                print(f"{topic} already has a publisher: not started beside it", file=sys.stderr)
+                self.finish(1)
+                return False
+            found = [output.listeners for output in self.outputs.values()]
+            if found != listeners:
+                listeners, settled = found, now
+            if (
+                self.outputs["imu/data_raw"].listeners >= self._min_subscribers
+                and now - settled >= SETTLE_TIME
+                and now - started >= self._exclusive_wait
+            ):
+                return True
+        return False
+
+    def _send_all(self) -> bool:
+        """Whether all messages were sent; False where the node ends before."""
+        start, start_ns, now_ns = time.monotonic(), -1, -1
+        last_clock = 0.0
+        for time_ns, topic, message in self.timeline():
+            if start_ns < 0:
+                start, start_ns = time.monotonic(), time_ns
+            if time_ns != now_ns:
+                now_ns = time_ns
+                due = start + (now_ns - start_ns) / NS / self._rate
+                if self._stop.wait(max(due - time.monotonic(), 0.0)):
+                    return False
+                if time.monotonic() - last_clock >= CLOCK_PERIOD:
+                    last_clock = time.monotonic()
+                    self._tell_time(now_ns)
+            output = self.outputs[topic]
+            output.send(message)
+            if output.count % UNACKNOWLEDGED == 0:
+                self._wait_until_arrived(output)
+        self._tell_time(now_ns)
+        return not self._stop.is_set()
+
+    def _tell_time(self, now_ns: int) -> None:
+        if self._clock_output is not None:
+            self._clock_output.publish(Clock(clock=time_of(now_ns)))
+
+    def _wait_until_arrived(self, output: Output) -> bool:
+        """Whether all messages arrive within a time; False also where the node ends before."""
+        deadline = time.monotonic() + ACKNOWLEDGE_TIME
+        while not self._stop.is_set() and time.monotonic() < deadline:
+            if output.acknowledged(Duration(seconds=0.1)):
+                return True
+        return False
+
+    def _finish_when_arrived(self) -> None:
+        missing = [t for t, output in self.outputs.items() if not self._wait_until_arrived(output)]
+        sent = ", ".join(f"{topic} {output.count}" for topic, output in self.outputs.items())
+        print(f"sent: {sent}", flush=True)
+        if missing:
+            print(
+                f"not all arrived within {ACKNOWLEDGE_TIME:g} s on {', '.join(missing)}",
+                file=sys.stderr,
+            )
+        self.finish(1 if missing else 0)
