@@ -187,8 +187,9 @@ class Filter:
         self.process_noise = ProcessNoiseSource(parameters, self.C_b_i)
 
         self._workspace = np.zeros(1, workspace_type(self.n))
-        self._constants = np.zeros(1, constants_type(self.n))
-        c = self._constants[0]
+        #: (1,) record of what the kernels need to know, see `state.constants_type`.
+        self.constants = np.zeros(1, constants_type(self.n))
+        c = self.constants[0]
         c["invariant"] = self.invariant
         c["earth_rate"] = parameters.earth_rate
         noise = parameters.process_noise
@@ -206,6 +207,7 @@ class Filter:
         c["l_b"] = l_b_dvl
         c["bias_variance"] = parameters.dvl.bias_std**2
         c["bias_rate"] = 1.0 / parameters.dvl.bias_time_constant
+        c["l_b_imu"], c["nav"], c["body"] = self.l_b_imu, axes.nav, axes.body
 
     def _initial_from_parameters(self) -> Initial:
         axes = CONVENTIONS[self.parameters.frame_convention]
@@ -322,7 +324,7 @@ class Filter:
         self, state: Records, sample_ns: int, f_b: Array, w_ib_b: Array, to_ns: int
     ) -> None:
         """Advance to a stamp inside the interval of a sample (base_link axes)."""
-        _predict_part(state, self._workspace, self._constants, sample_ns, f_b, w_ib_b, to_ns)
+        _predict_part(state, self._workspace, self.constants, sample_ns, f_b, w_ib_b, to_ns)
 
     def predict_samples(
         self,
@@ -343,7 +345,7 @@ class Filter:
             states: (N,) records.
         """
         _predict_samples(
-            state, self._workspace, self._constants, stamps_ns, f_b, w_ib_b, first, last, states
+            state, self._workspace, self.constants, stamps_ns, f_b, w_ib_b, first, last, states
         )
 
     def tell_process_noise(self, state: Records, event: ProcessNoise) -> None:
@@ -365,7 +367,7 @@ class Filter:
         Q_w_mean = self.sample_variance_w(s) / samples
         R = (self._R_default if dvl.R is None else dvl.R) + self._l_x @ Q_w_mean @ self._l_x.T
         R = (R + R.T) / 2
-        nis = _innovate(state, self._workspace, self._constants, dvl.v_d, w_ib_b, R)
+        nis = _innovate(state, self._workspace, self.constants, dvl.v_d, w_ib_b, R)
         w = self._workspace[0]
         innovation, S = w["innovation"].copy(), w["S"].copy()
         if not np.isfinite(nis):
@@ -374,7 +376,7 @@ class Filter:
         if nis > self._gate:
             accepted, reason = self._recover(state, dvl, innovation, R)
         else:
-            _correct(state, self._workspace, self._constants, R)
+            _correct(state, self._workspace, self.constants, R)
             s["rejections"] = 0
             self.process_noise.innovated(s, w["K"], innovation)
         s["dvl_ns"] = dvl.stamp_ns
@@ -382,7 +384,7 @@ class Filter:
 
     def sample_variance_w(self, s: State) -> Array:
         """Variance (3, 3) of one angular rate sample [(rad/s)^2], whatever Q's convention is."""
-        c = self._constants[0]
+        c = self.constants[0]
         return s["Q_w"] * (c["density"] * c["rate"])
 
     def _recover(

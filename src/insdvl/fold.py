@@ -367,7 +367,7 @@ class Fold:
         last = int(np.searchsorted(stamps, until_ns, side="right"))
         for k in range(first, last):
             if self._states[k]["initialised"]:
-                outputs.append(odometry(self.filter, self._states[k]))
+                outputs.append(odometry(self.filter, self._states, k))
         if last > first:
             self._published_ns = int(stamps[last - 1])
         outputs.sort(key=lambda output: output.stamp_ns)
@@ -399,7 +399,7 @@ class FoldResult:
     """A recording, folded.
 
     Attributes:
-        filter: The filter, for `odometry.odometry(filter, states[k])`.
+        filter: The filter, for `odometry.odometry(filter, states, k)`.
         states: (N,) state records at the samples' stamps, after the updates.
         updates: What was done with each DVL measurement, in the order of stamps.
         counts: Counters at the end.

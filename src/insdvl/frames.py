@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from insdvl.rotation import quaternions
+
 Array = NDArray[np.float64]
 
 
@@ -66,5 +68,7 @@ def rotation_from_quaternion(q_xyzw: Array) -> Array:
 
 
 def quaternion_from_rotation(C: Array) -> Array:
-    """Quaternion (x, y, z, w), with w >= 0, of rotations (..., 3, 3)."""
-    return Rotation.from_matrix(C).as_quat(canonical=True)
+    """Quaternions (..., 4) as (x, y, z, w), with w >= 0, of rotations (..., 3, 3)."""
+    q_xyzw = np.empty((*C.shape[:-2], 4))
+    quaternions(q_xyzw.reshape(-1, 4), np.ascontiguousarray(C).reshape(-1, 3, 3))
+    return q_xyzw

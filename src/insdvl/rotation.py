@@ -117,3 +117,37 @@ def orthonormalise(C: Array, scratch: Array) -> None:
         a, b, c = C[i, 0], C[i, 1], C[i, 2]
         for j in range(3):
             C[i, j] = a * scratch[0, j] + b * scratch[1, j] + c * scratch[2, j]
+
+
+@kernel
+def quaternions(q_xyzw: Array, C: Array) -> None:
+    """Unit quaternions (x, y, z, w), w >= 0, of rotations, by Shepperd's choice of the largest term.
+
+    Source: S. W. Shepperd, Quaternion from rotation matrix, J. Guidance and Control 1(3), 1978.
+
+    Args:
+        q_xyzw: (N, 4) result.
+        C: (N, 3, 3) rotations.
+    """
+    for k in range(C.shape[0]):
+        R, q = C[k], q_xyzw[k]
+        trace = R[0, 0] + R[1, 1] + R[2, 2]
+        largest, value = 3, trace
+        for i in range(3):
+            if R[i, i] > value:
+                largest, value = i, R[i, i]
+        if largest == 3:
+            q[3] = 1.0 + trace
+            q[0] = R[2, 1] - R[1, 2]
+            q[1] = R[0, 2] - R[2, 0]
+            q[2] = R[1, 0] - R[0, 1]
+        else:
+            i, j, m = largest, (largest + 1) % 3, (largest + 2) % 3
+            q[i] = 1.0 - trace + 2.0 * R[i, i]
+            q[j] = R[j, i] + R[i, j]
+            q[m] = R[m, i] + R[i, m]
+            q[3] = R[m, j] - R[j, m]
+        norm = np.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+        sign = -1.0 if q[3] < 0.0 else 1.0
+        for i in range(4):
+            q[i] *= sign / norm

@@ -117,6 +117,10 @@ def constants_type(n: int) -> np.dtype[np.void]:
             ("l_b", "f8", (3,)),  # from the IMU to the DVL, base_link axes, m
             ("bias_variance", "f8"),  # of the Gauss-Markov error, stationary
             ("bias_rate", "f8"),  # 1 / time constant
+            # Output
+            ("l_b_imu", "f8", (3,)),  # position of the IMU in base_link, m
+            ("nav", "f8", (3, 3)),  # NED to the stream's navigation axes
+            ("body", "f8", (3, 3)),  # FRD to the stream's body axes
         ],
         align=True,
     )
