@@ -92,133 +92,88 @@ _OUTPUT = np.dtype(
 )
 
 
-def odometry(filter_: Filter, s: State) -> Odometry:
-    """Odometry of a state record.
-
-    base_link lies at -l from the IMU (l its lever arm): p = p_imu - C l, v_b = v_b,imu - w_nb x l.
-    """
-    axes = CONVENTIONS[filter_.parameters.frame_convention]
-    vectors = np.empty((3, 3))
-    quaternion_xyzw = np.empty(4)
-    covariances = np.empty((2, 6, 6))
-    _odometry(
-        s,
-        filter_.invariant,
-        filter_.l_b_imu,
-        axes.nav,
-        axes.body,
-        filter_.sample_variance_w(s),
-        vectors,
-        quaternion_xyzw,
-        covariances,
-    )
+def odometry(filter_: Filter, states: NDArray[np.void], k: int) -> Odometry:
+    """Odometry of the state record ``states[k]``."""
+    out = np.zeros(1, _OUTPUT)
+    _odometry(states, k, filter_.constants, out)
+    o = out[0]
     return Odometry(
-        stamp_ns=int(s["time_ns"]),
-        position=vectors[0],
-        quaternion_xyzw=quaternion_xyzw,
-        pose_covariance=covariances[0],
-        twist_linear=vectors[1],
-        twist_angular=vectors[2],
-        twist_covariance=covariances[1],
+        stamp_ns=int(states[k]["time_ns"]),
+        position=o["position"],
+        quaternion_xyzw=o["quaternion_xyzw"][0],
+        pose_covariance=o["pose_covariance"],
+        twist_linear=o["twist_linear"],
+        twist_angular=o["twist_angular"],
+        twist_covariance=o["twist_covariance"],
     )
 
 
 @kernel
-def _odometry(
-    s: State,
-    invariant: bool,
-    l_b: Array,
-    nav: Array,
-    body: Array,
-    sample: Array,
-    vectors: Array,
-    quaternion_xyzw: Array,
-    covariances: Array,
-) -> None:
-    """Position, velocity and turn rate into the rows of ``vectors``; pose and twist covariance.
+def _odometry(states: Array, k: int, constants: Array, out: Array) -> None:
+    """base_link lies at -l from the IMU: p = p_imu - C l, v_b = C_b_n v_imu - w_nb x l.
 
-    In body axes, with the ordinary errors psi and dp of the state, to first order:
-
-        dp_base = dp + [C l x] psi
-        dv_b    = C_b_n dv (+ C_b_n [v x] psi for `ned`) - [l x] db_w
-        dw_b    = -db_w
-
-    The turn rate is that of one sample, whose own noise (``sample``, its variance) is white and not
-    in P; it adds [l x] noise to the velocity.
+    With the errors of the model, dp_base = dp + [C l x] psi, and in body axes
+    dv_base = C_b_n dv (+ C_b_n [v x] psi for `ned`) - [l x] (db_w + n),  dw_nb = -(db_w + n),
+    where n is the white noise of the one sample that the turn rate is measured with.
     """
+    s, c, o = states[k], constants[0], out[0]
+    C, J, M, N, x, y = s.C_n_b, o.J, o.M1, o.M2, o.x1, o.x2
     n = s.P.shape[0]
-    C = s.C_n_b
-    l_x, arm_x, v_x, A, B = (
-        np.empty((3, 3)),
-        np.empty((3, 3)),
-        np.empty((3, 3)),
-        np.empty((3, 3)),
-        np.empty((3, 3)),
-    )
-    arm, x = np.empty(3), np.empty(3)
-    rotate(arm, C, l_b)
-    skew(l_x, l_b)
-    skew(arm_x, arm)
-    skew(v_x, s.v_n)
 
+    rotate(x, C, c.l_b_imu)
     for i in range(3):
-        x[i] = s.p_n[i] - arm[i]
-    rotate(vectors[0], nav, x)
+        y[i] = s.p_n[i] - x[i]
+    rotate(o.position, c.nav, y)
+    product(N, c.nav, C)
+    product(o.C[0], N, c.body)
+    quaternions(o.quaternion_xyzw, o.C)
+    skew(M, x)
+    product(N, c.nav, M)
+    error_state.set_block(J, 0, _ATTITUDE, 1.0, N)
+    error_state.set_block(J, 0, _POSITION, 1.0, c.nav)
+    error_state.set_block(J, 3, _ATTITUDE, 1.0, c.nav)
+    _congruence(o.pose_covariance, J, s.P, n)
+
     rotate_back(x, C, s.v_n)
-    rotate(arm, l_x, s.w_nb_b)  # l x w = -(w x l)
+    cross(y, s.w_nb_b, c.l_b_imu)
     for i in range(3):
-        x[i] += arm[i]
-    rotate(vectors[1], body, x)
-    rotate(vectors[2], body, s.w_nb_b)
-    product(A, nav, C)
-    product(B, A, body)
-    quaternion(quaternion_xyzw, B)
-
-    J = np.zeros((2, 6, n))
-    product(A, nav, arm_x)
-    for i in range(3):
-        for j in range(3):
-            J[0, i, 12 + j] = nav[i, j]
-            J[0, i, 3 + j] = A[i, j]
-            J[0, 3 + i, 3 + j] = nav[i, j]
-    product_transposed(A, body, C)
-    for i in range(3):
-        for j in range(3):
-            J[1, i, j] = A[i, j]
-            J[1, 3 + i, 9 + j] = -body[i, j]
-    if not invariant:
-        product(B, A, v_x)
-        J[1, 0:3, 3:6] = B
-    product(B, body, l_x)
-    for i in range(3):
-        for j in range(3):
-            J[1, i, 9 + j] = -B[i, j]
-    for m in range(2):
-        _congruence(covariances[m], J[m], s.P)
-
-    white = np.empty((6, 3))
-    white[0:3] = B
-    white[3:6] = body
-    noise = np.empty((6, 6))
-    _congruence(noise, white, sample)
-    covariances[1] += noise
+        x[i] -= y[i]
+    rotate(o.twist_linear, c.body, x)
+    rotate(o.twist_angular, c.body, s.w_nb_b)
+    J[:] = 0.0
+    product_transposed(M, c.body, C)
+    error_state.set_block(J, 0, _VELOCITY, 1.0, M)
+    if not c.invariant:
+        skew(N, s.v_n)
+        product(o.C[0], M, N)
+        error_state.set_block(J, 0, _ATTITUDE, 1.0, o.C[0])
+    skew(M, c.l_b_imu)
+    product(N, c.body, M)
+    error_state.set_block(J, 0, _GYROSCOPE_BIAS, -1.0, N)
+    error_state.set_block(J, 3, _GYROSCOPE_BIAS, -1.0, c.body)
+    _congruence(o.twist_covariance, J, s.P, n)
+    # The sample's noise enters as an error of the gyroscope bias would.
+    for i in range(6):
+        for j in range(6):
+            for a in range(3):
+                for b in range(3):
+                    o.twist_covariance[i, j] += (
+                        J[i, _GYROSCOPE_BIAS + a]
+                        * (c.density * c.rate * s.Q_w[a, b])
+                        * J[j, _GYROSCOPE_BIAS + b]
+                    )
 
 
 @kernel
-def _congruence(out: Array, J: Array, P: Array) -> None:
-    """out = J P J^T, exactly symmetric, leaving out the zeros of J."""
-    rows, n = J.shape
-    JP = np.zeros((rows, n))
-    for i in range(rows):
-        for k in range(n):
-            if J[i, k] != 0.0:
-                for j in range(n):
-                    JP[i, j] += J[i, k] * P[k, j]
-    for i in range(rows):
+def _congruence(out: Array, J: Array, P: Array, n: int) -> None:
+    """out = J P J^T, (6, 6), exactly symmetric."""
+    for i in range(6):
         for j in range(i + 1):
             total = 0.0
-            for k in range(n):
-                total += JP[i, k] * J[j, k]
+            for a in range(n):
+                if J[i, a] != 0.0:
+                    for b in range(n):
+                        total += J[i, a] * P[a, b] * J[j, b]
             out[i, j] = total
             out[j, i] = total
 
