@@ -1,0 +1,1 @@
+"""How the shipped models are made: data set, ensemble, the `insdvl train` command."""

@@ -1,0 +1,1 @@
+"""The learned process noise: windows of IMU samples, their features, the model, the schedule."""

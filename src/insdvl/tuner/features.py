@@ -1,0 +1,245 @@
+"""Features of a window of one IMU channel, from which its noise variance is learned.
+
+Three transformations of the window, eight statistics of each:
+
+* ``detrend``: the residual of the least-squares straight line;
+* ``zscore``: (x - mean) / std;
+* ``absolute``: |x|;
+
+and min, max, median, std, mean, kurtosis, skewness and second-largest value. std has N - 1 in its
+denominator, here and in the z-score. Skewness is m3 / m2^(3/2) and kurtosis m4 / m2^2 (Pearson:
+3 for a Gaussian), with m_k the mean of the k-th power of the deviations.
+
+Three features are constant by construction and are returned as exactly that: the mean of the
+residual (0), the mean (0) and the std (1) of the z-score. Their rounding noise says nothing, and
+a tree must not split on it.
+
+A transformed window whose std is at most 1e-14 of the window's largest |x| is rounding noise: it
+counts as constant. Then its std, skewness and kurtosis are 0; the z-scores of a constant window
+are 0 throughout, and so is the residual of a straight line. A std below 1e-70 counts as constant
+too, and values beyond 1e70 are refused: fourth powers stay in the range of a double. So every
+window that is accepted has defined, finite features.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl.kernels import kernel
+
+Array = NDArray[np.float64]
+
+TRANSFORMATIONS = ("detrend", "zscore", "absolute")
+STATISTICS = ("min", "max", "median", "std", "mean", "kurtosis", "skewness", "second_largest")
+FEATURE_NAMES = tuple(f"{t}_{s}" for t in TRANSFORMATIONS for s in STATISTICS)
+
+#: A window has at least this many samples: with fewer every line fits.
+MIN_SAMPLES = 3
+
+_CONSTANT = 1e-14  # of the largest |x|: about 50 times the rounding of one sample
+_TINY, _HUGE = 1e-70, 1e70
+_BINS = 64  # fits np.uint8; a few samples in each for a window of 200
+
+
+def features(windows: Array) -> Array:
+    """The 24 features of each window, in the order of `FEATURE_NAMES`.
+
+    Args:
+        windows: (M, N) windows of one channel each, in stamp order.
+
+    Returns:
+        (M, 24).
+
+    Raises:
+        ValueError: `windows` is not (M, N) with N >= 3, or a value is not within 1e70 of zero.
+    """
+    windows = np.ascontiguousarray(windows, dtype=np.float64)
+    if windows.ndim != 2 or windows.shape[1] < MIN_SAMPLES:
+        raise ValueError(f"windows must be (M, N) with N >= {MIN_SAMPLES}, got {windows.shape}")
+    usable = np.abs(windows) <= _HUGE
+    if not usable.all():
+        m, i = np.argwhere(~usable)[0]
+        raise ValueError(f"window {m} has {windows[m, i]} at {i}: values must be within {_HUGE:g}")
+    out = np.empty((windows.shape[0], len(FEATURE_NAMES)))
+    _features(windows, out)
+    return out
+
+
+@dataclass(frozen=True)
+class Schema:
+    """What a model is given.
+
+    Attributes:
+        names: Names of the F features, in order.
+        extract: (M, N) windows to (M, F) features.
+    """
+
+    names: tuple[str, ...]
+    extract: Callable[[Array], Array]
+
+
+#: Feature schemas by the name that a model's card gives.
+SCHEMAS: Mapping[str, Schema] = MappingProxyType({"paper": Schema(FEATURE_NAMES, features)})
+
+
+@kernel
+def _median(
+    x: Array,
+    low: float,
+    high: float,
+    bins: NDArray[np.uint8],
+    counts: NDArray[np.int64],
+    few: Array,
+) -> float:
+    """Median of ``x`` (N,) with values in [low, high].
+
+    Counts the samples in equal bins and sorts only those of the bin, or two, that hold the middle:
+    a comparison sort of 200 samples costs more than all else here. ``bins`` (N,), ``counts``
+    (_BINS,) and ``few`` (N,) are scratch.
+    """
+    N = x.size
+    scale = (_BINS - 1) / (high - low)
+    if not scale < np.inf:  # no width, or one so small that its inverse overflows: one bin
+        scale = 0.0
+    counts[:] = 0
+    for i in range(N):
+        b = np.uint8(np.int32((x[i] - low) * scale))
+        bins[i] = b
+        counts[b] += 1
+
+    rank = (N - 1) // 2  # of the lower middle; the upper one is N // 2
+    first, below = 0, 0
+    while below + counts[first] <= rank:
+        below += counts[first]
+        first += 1
+    last, up_to = first, below + counts[first]
+    while up_to <= N // 2:
+        last += 1
+        up_to += counts[last]
+
+    n = 0
+    for i in range(N):
+        if first <= bins[i] <= last:
+            value, j = x[i], n
+            while j > 0 and few[j - 1] > value:
+                few[j] = few[j - 1]
+                j -= 1
+            few[j] = value
+            n += 1
+    lower, upper = few[rank - below], few[N // 2 - below]
+    return lower if lower == upper else 0.5 * lower + 0.5 * upper
+
+
+@kernel
+def _features(windows: Array, out: Array) -> None:
+    """`features` of checked ``windows`` (M, N) into ``out`` (M, 24)."""
+    M, N = windows.shape
+    middle = 0.5 * (N - 1)
+    time_square = N * (N * N - 1.0) / 12.0  # sum of (i - middle)^2
+    deviation = np.empty(N)
+    residual = np.empty(N)
+    magnitude = np.empty(N)
+    few = np.empty(N)
+    bins = np.empty(N, np.uint8)
+    counts = np.empty(_BINS, np.int64)
+    for m in range(M):
+        x = windows[m]
+        f = out[m]
+
+        sum_x = 0.0
+        sum_a = 0.0
+        a_min = np.inf
+        a_max = a_second = 0.0
+        for i in range(N):
+            a = abs(x[i])
+            magnitude[i] = a
+            sum_x += x[i]
+            sum_a += a
+            a_min = a if a < a_min else a_min
+            runner_up = a if a < a_max else a_max
+            a_second = runner_up if runner_up > a_second else a_second
+            a_max = a if a > a_max else a_max
+        x_mean = sum_x / N
+        a_mean = sum_a / N
+
+        # The means above carry the rounding of sums of large numbers; the deviations from them are
+        # small, so that their own means correct it.
+        sum_d = 0.0
+        sum_td = 0.0
+        sum_b = 0.0
+        for i in range(N):
+            d = x[i] - x_mean
+            sum_d += d
+            sum_td += (i - middle) * d
+            sum_b += magnitude[i] - a_mean
+        d_mean = sum_d / N
+        b_mean = sum_b / N
+        slope = sum_td / time_square
+
+        r_2 = r_3 = r_4 = d_2 = d_3 = d_4 = b_2 = b_3 = b_4 = 0.0
+        r_min = d_min = np.inf
+        r_max = r_second = d_max = d_second = -np.inf
+        for i in range(N):
+            d = (x[i] - x_mean) - d_mean
+            deviation[i] = d
+            d2 = d * d
+            d_2 += d2
+            d_3 += d2 * d
+            d_4 += d2 * d2
+            d_min = d if d < d_min else d_min
+            runner_up = d if d < d_max else d_max
+            d_second = runner_up if runner_up > d_second else d_second
+            d_max = d if d > d_max else d_max
+
+            r = d - slope * (i - middle)
+            residual[i] = r
+            r2 = r * r
+            r_2 += r2
+            r_3 += r2 * r
+            r_4 += r2 * r2
+            r_min = r if r < r_min else r_min
+            runner_up = r if r < r_max else r_max
+            r_second = runner_up if runner_up > r_second else r_second
+            r_max = r if r > r_max else r_max
+
+            b = (magnitude[i] - a_mean) - b_mean
+            b2 = b * b
+            b_2 += b2
+            b_3 += b2 * b
+            b_4 += b2 * b2
+
+        tolerance = max(_CONSTANT * a_max, _TINY)
+        f[:] = 0.0
+        r_std = np.sqrt(r_2 / (N - 1))
+        if r_std > tolerance:
+            f[0] = r_min
+            f[1] = r_max
+            f[2] = _median(residual, r_min, r_max, bins, counts, few)
+            f[3] = r_std
+            f[5] = N * r_4 / (r_2 * r_2)
+            f[6] = r_3 / (r_2 * np.sqrt(r_2 / N))
+            f[7] = r_second
+
+        d_std = np.sqrt(d_2 / (N - 1))
+        if d_std > tolerance:
+            f[8] = d_min / d_std
+            f[9] = d_max / d_std
+            f[10] = _median(deviation, d_min, d_max, bins, counts, few) / d_std
+            f[11] = 1.0
+            f[13] = N * d_4 / (d_2 * d_2)
+            f[14] = d_3 / (d_2 * np.sqrt(d_2 / N))
+            f[15] = d_second / d_std
+
+        f[16] = a_min
+        f[17] = a_max
+        f[18] = _median(magnitude, a_min, a_max, bins, counts, few)
+        f[20] = a_mean + b_mean
+        f[23] = a_second
+        b_std = np.sqrt(b_2 / (N - 1))
+        if b_std > tolerance:
+            f[19] = b_std
+            f[21] = N * b_4 / (b_2 * b_2)
+            f[22] = b_3 / (b_2 * np.sqrt(b_2 / N))

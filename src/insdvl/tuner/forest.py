@@ -1,0 +1,202 @@
+"""An ensemble of regression trees as flat arrays: its file, its checks, its prediction.
+
+A file holds five arrays, of T trees with S splits and L leaves in all, tree after tree, the nodes
+of a tree in preorder (a split, all of its left side, all of its right side):
+
+* ``feature`` (S + L,) int16: the feature that a split compares, or -1 for a leaf;
+* ``threshold`` (S,) float32: a row goes left where its feature is at most this;
+* ``value`` (L,) float64: the answer of a leaf;
+* ``roots`` (T,) int32: the first node of each tree;
+* ``n_features`` () int32: the length of a row.
+
+Preorder needs no child indices: the left child is the next node, and the right child follows from
+the sizes. A file therefore cannot hold a cycle or an index out of range, only a sequence that is no
+set of T trees, which is refused.
+
+The prediction equals scikit-learn's ``BaggingRegressor.predict`` with one job to the last bit.
+scikit-learn rounds a row to float32 and compares it with thresholds in float64; a float32 is at
+most such a threshold exactly when it is at most the threshold rounded down to float32, which is
+what is kept. It adds the trees' answers in their order and divides by their number.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl.kernels import kernel
+
+Array = NDArray[np.float64]
+
+#: dtype and number of dimensions of the arrays of a file.
+ARRAYS = {
+    "feature": (np.dtype(np.int16), 1),
+    "threshold": (np.dtype(np.float32), 1),
+    "value": (np.dtype(np.float64), 1),
+    "roots": (np.dtype(np.int32), 1),
+    "n_features": (np.dtype(np.int32), 0),
+}
+
+LEAF = -1
+
+
+class ForestError(ValueError):
+    """Arrays that are no ensemble of trees."""
+
+
+class Forest:
+    """T regression trees whose mean is the answer.
+
+    Attributes:
+        arrays: The arrays of the file, see the module.
+        n_features: Length of a row.
+        n_trees: T.
+    """
+
+    def __init__(self, arrays: Mapping[str, NDArray]) -> None:
+        """Check the arrays and lay them out for prediction.
+
+        Raises:
+            ForestError: An array is missing, unknown, of the wrong type or shape, not finite or out
+                of range, or the nodes are no T trees.
+        """
+        self.arrays = {name: _checked(arrays, name) for name in ARRAYS}
+        unknown = sorted(set(arrays) - set(ARRAYS))
+        if unknown:
+            raise ForestError(f"unknown array {unknown[0]!r}")
+        feature, roots = self.arrays["feature"], self.arrays["roots"]
+        threshold, value = self.arrays["threshold"], self.arrays["value"]
+        self.n_features = int(self.arrays["n_features"])
+        self.n_trees = roots.size
+
+        outside = (feature < LEAF) | (feature >= self.n_features)
+        if outside.any():
+            raise ForestError(
+                f"feature has {feature[outside][0]}, which is not in [-1, {self.n_features})"
+            )
+        leaf = feature == LEAF
+        for name, size in ("threshold", (~leaf).sum()), ("value", leaf.sum()):
+            if self.arrays[name].size != size:
+                raise ForestError(
+                    f"{name} has {self.arrays[name].size} elements, the nodes need {size}"
+                )
+            if not np.isfinite(self.arrays[name]).all():
+                raise ForestError(f"{name} is not finite")
+        if not roots.size or roots[0] != 0:
+            raise ForestError("roots must begin with 0")
+
+        right = np.zeros(feature.size, np.int32)
+        found = np.zeros(roots.size, np.int32)
+        n_found = _right_children(feature, right, found)
+        if n_found != roots.size or not np.array_equal(found, roots):
+            raise ForestError(f"the nodes are not the {roots.size} trees that roots names")
+        self._roots = roots
+        # One record per node, so that a step of a walk touches one line of memory.
+        self._nodes = np.zeros(
+            feature.size, [("value", "f8"), ("threshold", "f4"), ("feature", "i4"), ("right", "i4")]
+        )
+        self._nodes["feature"] = feature
+        self._nodes["right"] = right
+        self._nodes["threshold"][~leaf] = threshold
+        self._nodes["value"][leaf] = value
+
+    @classmethod
+    def load(cls, file: Path | str | BinaryIO) -> "Forest":
+        """A forest from an ``.npz`` file.
+
+        Raises:
+            ForestError: The file is no such archive, or `Forest` refuses the arrays.
+            OSError: It cannot be read.
+        """
+        try:
+            with np.load(file, allow_pickle=False) as archive:
+                arrays = {name: archive[name] for name in archive.files}
+        except OSError:
+            raise
+        except Exception as error:  # damaged bytes raise what zipfile, zlib or numpy make of them
+            raise ForestError(f"no archive of arrays: {error}") from error
+        return cls(arrays)
+
+    def predict(self, X: Array) -> Array:
+        """Mean answer of the trees for each row.
+
+        Args:
+            X: (M, n_features).
+
+        Returns:
+            (M,).
+
+        Raises:
+            ValueError: `X` has another shape, or is not finite in float32.
+        """
+        X = np.asarray(X)
+        if X.ndim != 2 or X.shape[1] != self.n_features:
+            raise ValueError(f"X must be (M, {self.n_features}), got {X.shape}")
+        with np.errstate(over="ignore"):
+            rows = np.ascontiguousarray(X, dtype=np.float32)
+        if not np.isfinite(rows).all():
+            m, f = np.argwhere(~np.isfinite(rows))[0]
+            raise ValueError(f"X must be finite in float32, got {X[m, f]} in row {m}, feature {f}")
+        out = np.zeros(rows.shape[0])
+        _predict(self._nodes, self._roots, rows, out)
+        return out
+
+
+def _checked(arrays: Mapping[str, NDArray], name: str) -> NDArray:
+    dtype, ndim = ARRAYS[name]
+    if name not in arrays:
+        raise ForestError(f"array {name!r} is missing")
+    array = np.asarray(arrays[name])
+    if array.dtype != dtype or array.ndim != ndim:
+        raise ForestError(
+            f"{name} must be {dtype} of {ndim} dimensions, got {array.dtype} of {array.ndim}"
+        )
+    return array
+
+
+@kernel
+def _right_children(
+    feature: NDArray[np.int16], right: NDArray[np.int32], roots: NDArray[np.int32]
+) -> int:
+    """Right child of each split into ``right``, first nodes of trees into ``roots``.
+
+    Returns:
+        The number of trees; -1 where they are not whole or are more than ``roots`` can hold.
+    """
+    waiting = np.empty(feature.size + 1, np.int32)  # splits whose right side has not begun
+    n_waiting = 0
+    n_trees = 0
+    begins = True
+    for i in range(feature.size):
+        if begins:
+            if n_trees == roots.size:
+                return -1
+            roots[n_trees] = i
+            n_trees += 1
+            begins = False
+        if feature[i] >= 0:
+            waiting[n_waiting] = i
+            n_waiting += 1
+        elif n_waiting == 0:
+            begins = True
+        else:
+            n_waiting -= 1
+            right[waiting[n_waiting]] = i + 1
+    return n_trees if begins else -1
+
+
+@kernel
+def _predict(
+    nodes: NDArray[np.void], roots: NDArray[np.int32], rows: NDArray[np.float32], out: Array
+) -> None:
+    """Mean over the trees of the leaf that each of ``rows`` (M, F) reaches, into ``out`` (M,)."""
+    for root in roots:
+        for m in range(rows.shape[0]):
+            i = root
+            while nodes[i].feature >= 0:
+                i = i + 1 if rows[m, nodes[i].feature] <= nodes[i].threshold else nodes[i].right
+            out[m] += nodes[i].value
+    for m in range(out.size):
+        out[m] /= roots.size

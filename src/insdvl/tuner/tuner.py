@@ -1,0 +1,93 @@
+"""The tuner: IMU samples in, the variance of their noise out, at the tuning rate.
+
+The schedule follows from the stamps alone. Time is cut into periods of 1 / rate from stamp 0 on;
+the first sample of a period closes a window, which reaches back N samples and includes it. A stamp
+that falls on the beginning of a period belongs to it, so where samples lie on multiples of 1 / rate
+so do the estimates; with jitter or other phases an estimate has the stamp of the first sample
+after. When the tuner was started, or how fast the samples arrive, changes none of this: two tuners
+that have both seen the last N samples give the same bits.
+
+A period whose window has a gap or is not yet full has no estimate.
+"""
+
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl.events import NS
+from insdvl.parameters import TunerParameters
+from insdvl.tuner.models import load_model
+from insdvl.tuner.windows import CHANNELS, Window
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TunedNoise:
+    """Variance per sample of each channel, from a stamp on.
+
+    Attributes:
+        stamp_ns: Stamp of the sample that closed the window.
+        variances: (6,) of specific force x, y, z [(m/s^2)^2] and angular rate x, y, z [(rad/s)^2].
+    """
+
+    stamp_ns: int
+    variances: Array
+
+
+class Tuner:
+    """Learns the process noise of an IMU from its last samples.
+
+    Attributes:
+        enabled: While False no estimate is made; the window goes on filling.
+        model: The model in use.
+    """
+
+    def __init__(self, parameters: TunerParameters) -> None:
+        """Load the model and compile what `add` needs.
+
+        Raises:
+            ModelError: The model cannot be used, see `load_model`.
+        """
+        self.enabled = parameters.enabled
+        self.model = load_model(parameters.model)
+        self._rate = Fraction(parameters.rate) / NS  # periods in a nanosecond, exactly
+        self._window = Window(self.model.window, round(parameters.max_gap * NS))
+        self._made = {"windows": 0, "too_large": 0}
+        self.model.variances(np.zeros((CHANNELS, self.model.window)))
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Samples taken and dropped, see `Window`; windows used, and refused as too large."""
+        return self._window.counts | self._made
+
+    def add(self, stamp_ns: int, sample: Array) -> TunedNoise | None:
+        """Take a sample; the new estimate where it closes a window.
+
+        Never raises on data: what cannot be used is counted, see `counts`.
+
+        Args:
+            stamp_ns: The sample's stamp.
+            sample: (6,) specific force [m/s^2] and angular rate [rad/s], in any fixed axes.
+        """
+        stamp_ns = int(stamp_ns)  # the product in `_period` is beyond 64 bits
+        previous = self._window.stamp_ns
+        if not self._window.add(stamp_ns, sample):
+            return None
+        if previous is None or self._period(stamp_ns) == self._period(previous):
+            return None
+        if not self._window.full or not self.enabled:
+            return None
+        try:
+            variances = self.model.variances(self._window.samples())
+        except ValueError:  # finite samples whose features are beyond float32
+            self._made["too_large"] += 1
+            return None
+        self._made["windows"] += 1
+        return TunedNoise(stamp_ns, variances)
+
+    def _period(self, stamp_ns: int) -> int:
+        """Number of the period that a stamp lies in."""
+        return stamp_ns * self._rate.numerator // self._rate.denominator

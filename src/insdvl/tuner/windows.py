@@ -1,0 +1,77 @@
+"""The last N samples of an IMU, as long as nothing is missing between them."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+CHANNELS = 6  # specific force x, y, z, angular rate x, y, z
+
+
+class Window:
+    """Ring of the last N samples: the half-open interval (t - N dt, t] at the newest stamp t.
+
+    A sample that is not finite, has the newest stamp again or is older than it is dropped. An
+    interval longer than `max_gap` empties the window, since no window across it may be used; a
+    shorter one (some samples lost) does not. A step back by more than `max_gap` is a new beginning
+    (a recording that loops, a clock that was set), not a late sample: the window starts again.
+
+    Attributes:
+        stamp_ns: Newest stamp; None before the first sample.
+        counts: What was taken (``samples``), dropped (``not_finite``, ``duplicates``,
+            ``out_of_order``) and what emptied the window (``gaps``, ``restarts``).
+    """
+
+    def __init__(self, size: int, max_gap_ns: int) -> None:
+        """An empty window of `size` samples."""
+        self.stamp_ns: int | None = None
+        self.counts = {
+            "samples": 0,
+            "not_finite": 0,
+            "duplicates": 0,
+            "out_of_order": 0,
+            "gaps": 0,
+            "restarts": 0,
+        }
+        self._size = size
+        self._max_gap_ns = max_gap_ns
+        # Every sample is written twice, N apart: the last N are then always contiguous.
+        self._ring = np.zeros((CHANNELS, 2 * size))
+        self._next = 0
+        self._filled = 0
+
+    @property
+    def full(self) -> bool:
+        """Whether there are N samples without a gap."""
+        return self._filled == self._size
+
+    def add(self, stamp_ns: int, sample: Array) -> bool:
+        """Take a sample (6,); False where it was dropped (see `counts`)."""
+        if not np.isfinite(sample).all():
+            self.counts["not_finite"] += 1
+            return False
+        if self.stamp_ns is not None:
+            step = stamp_ns - self.stamp_ns
+            if step == 0:
+                self.counts["duplicates"] += 1
+                return False
+            if -self._max_gap_ns <= step < 0:
+                self.counts["out_of_order"] += 1
+                return False
+            if step < 0:
+                self.counts["restarts"] += 1
+                self._filled = 0
+            elif step > self._max_gap_ns:
+                self.counts["gaps"] += 1
+                self._filled = 0
+        self.stamp_ns = stamp_ns
+        self.counts["samples"] += 1
+        self._ring[:, self._next] = sample
+        self._ring[:, self._next + self._size] = sample
+        self._next = (self._next + 1) % self._size
+        self._filled = min(self._filled + 1, self._size)
+        return True
+
+    def samples(self) -> Array:
+        """The N samples of each channel, oldest first, (6, N); only when `full`."""
+        return self._ring[:, self._next : self._next + self._size]
