@@ -11,6 +11,7 @@ from typing import Any, Generic, TypeVar
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
@@ -110,6 +111,10 @@ class Output:
     def listeners(self) -> int:
         """How many subscriptions match."""
         return int(self._publisher.get_subscription_count())
+
+    def acknowledged(self, timeout: Duration) -> bool:
+        """Whether all that was sent arrives at the reliable subscriptions within a time."""
+        return bool(self._publisher.wait_for_all_acked(timeout))
 
 
 class InsdvlNode(Node, Generic[_Group]):
