@@ -1,0 +1,32 @@
+"""The `ros_insdvl_sim` package: simulator and replay nodes, and the demo."""
+
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+NAME = "ros_insdvl_sim"
+CONFIG = [str(path) for path in sorted(Path("config").glob("*"))]
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="INS/DVL navigation for ROS 2: the simulator, the replay node and the demo",
+    maintainer="ros_insdvl maintainers",
+    maintainer_email="maintainers@ros-insdvl.example.com",
+    license="Apache-2.0",
+    packages=find_packages(),
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        (f"share/{NAME}/config", CONFIG),
+    ],
+    install_requires=["matplotlib", "numpy"],
+    extras_require={"test": ["pytest"]},
+    zip_safe=True,
+    entry_points={
+        "console_scripts": [
+            f"{executable} = {NAME}.{executable}:main"
+            for executable in ("demo", "replay", "simulator")
+        ]
+    },
+)
