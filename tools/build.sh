@@ -1,0 +1,23 @@
+#!/bin/sh
+# Builds our packages into a virtual environment, and compiles the hot functions once.
+#
+#   tools/build.sh FOLDER
+set -eu
+folder=$1
+name=$(basename "$folder")
+python=$folder/bin/python
+
+echo "Build: insdvl, ros_insdvl and ros_insdvl_sim go into $folder."
+# A module that was deleted or renamed must not live on in the environment.
+site=$("$python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
+rm -rf "build/$name" "$site"/insdvl "$site"/insdvl-* "$site"/ros_insdvl* \
+    "$folder"/lib/ros_insdvl* "$folder"/share/insdvl "$folder"/share/ros_insdvl*
+"$folder/bin/colcon" --log-base "log/$name" build --merge-install \
+    --build-base "build/$name" --install-base "$folder" --event-handlers console_direct- \
+    >"build/$name.log" 2>&1 || {
+    cat "build/$name.log" >&2
+    echo "The build failed: colcon says why above." >&2
+    exit 1
+}
+echo "Warm-up: the filter's hot functions are compiled and cached."
+"$python" -m insdvl.warm
