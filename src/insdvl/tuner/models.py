@@ -41,10 +41,14 @@ class Model:
     """A model ready for use.
 
     Attributes:
+        path: The file of the arrays.
         card: The card as it was read.
         window: Number of samples N of a window.
+        schema: What the forest is given.
+        forest: The trees.
     """
 
+    path: Path
     card: Mapping[str, Any]
     window: int
     schema: Schema
@@ -103,7 +107,7 @@ def load_model(name_or_path: str) -> Model:
             f"the model {arrays_file} has {forest.n_features} features, its schema "
             f"{card['feature_schema']!r} has {len(schema.names)}; {expected}"
         )
-    return Model(card, card["window"], schema, forest)
+    return Model(arrays_file, card, card["window"], schema, forest)
 
 
 def _files(name_or_path: str) -> tuple[Path, Path]:

@@ -1,0 +1,265 @@
+"""The tuner node in a graph: what it publishes, its service, its diagnostics, its refusals."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Imu
+from std_srvs.srv import SetBool
+
+from insdvl.parameters import ParameterError, TunerParameters
+from insdvl.tuner.models import load_model
+from insdvl.tuner.tuner import Tuner
+from ros_insdvl.tuner import TunerNode
+
+START_NS = 1_700_000_000_123_000_000
+STEP_NS = 10_000_000
+VARIANCES = np.array([0.01, 0.02, 0.03, 0.002, 0.01, 0.04])
+SHIPPED = load_model("paper").path
+RELIABLE = QoSProfile(depth=2000, reliability=ReliabilityPolicy.RELIABLE)
+LATCHED = QoSProfile(
+    depth=10,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+DEADLINE = 30.0  # s; far beyond what any of these waits takes
+
+
+class Graph:
+    """The tuner in the namespace /auv, and a node that talks to it; one executor turns both."""
+
+    def __init__(self, **parameters: object) -> None:
+        self.context = Context()
+        self.context.init()
+        parameters["qos_overrides./auv/imu/data_raw.subscription.reliability"] = "reliable"
+        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+        try:
+            self.tuner = TunerNode(
+                namespace="/auv", context=self.context, parameter_overrides=overrides
+            )
+        except BaseException:
+            self.context.shutdown()
+            raise
+        self.peer = Node("peer", namespace="/auv", context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.tuner)
+        self.executor.add_node(self.peer)
+        self.received: list[Imu] = []
+        self.imu = self.peer.create_publisher(Imu, "imu/data_raw", RELIABLE)
+        self.noise = self.listen("process_noise", RELIABLE, self.received)
+        self.client = self.peer.create_client(SetBool, "insdvl_tuner/enable")
+        self.until(lambda: self.imu.get_subscription_count() == 1)
+        self.until(lambda: self.peer.count_publishers("process_noise") == 1)
+
+    def listen(self, topic: str, qos: QoSProfile, into: list[Imu]) -> object:
+        return self.peer.create_subscription(Imu, topic, into.append, qos)
+
+    def until(self, condition: object) -> None:
+        clock = self.peer.get_clock()
+        start = clock.now()
+        while not condition():
+            assert (clock.now() - start).nanoseconds < DEADLINE * 1e9
+            self.executor.spin_once(timeout_sec=0.1)
+
+    def send(self, messages: list[Imu]) -> None:
+        """Publish, and wait until the tuner has handled all."""
+        target = self.tuner.received["imu/data_raw"] + len(messages)
+        for message in messages:
+            self.imu.publish(message)
+        self.until(lambda: self.tuner.received["imu/data_raw"] == target)
+
+    def wait_for_stamps(self, stamps: list[int]) -> None:
+        self.until(lambda: len(self.received) >= len(stamps))
+        assert [stamp_of(message) for message in self.received] == stamps
+
+    def enable(self, value: bool) -> SetBool.Response:
+        self.until(self.client.service_is_ready)
+        future = self.client.call_async(SetBool.Request(data=value))
+        self.until(future.done)
+        return future.result()
+
+    def close(self) -> None:
+        self.executor.shutdown()
+        self.tuner.destroy_node()
+        self.peer.destroy_node()
+        self.context.shutdown()
+
+
+@pytest.fixture
+def graph():
+    graph = Graph()
+    yield graph
+    graph.close()
+
+
+def stamp_of(message: Imu) -> int:
+    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+
+
+def imu_message(k: int, sample: np.ndarray) -> Imu:
+    message = Imu()
+    message.header.frame_id = "imu_link"
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(START_NS + k * STEP_NS, 10**9)
+    f, w = message.linear_acceleration, message.angular_velocity
+    f.x, f.y, f.z, w.x, w.y, w.z = sample.tolist()
+    message.orientation.w = 0.5
+    return message
+
+
+def samples(n: int) -> np.ndarray:
+    rng = np.random.default_rng(20)
+    return np.array([0.0, 0.0, 9.8, 0.0, 0.0, 0.0]) + rng.normal(size=(n, 6)) * np.sqrt(VARIANCES)
+
+
+def boundaries(first: int, last: int) -> list[int]:
+    """Stamps on whole seconds' first samples: 1.7e9 s and some, at 0.123 s + k * 0.01 s."""
+    return [1_700_000_000_000_000_000 + s * 10**9 + 3_000_000 for s in range(first, last + 1)]
+
+
+def test_republishes_the_closing_sample_with_the_offline_tuners_variances(graph):
+    data = samples(700)
+    sent = [imu_message(k, sample) for k, sample in enumerate(data)]
+    graph.send(sent)
+
+    offline = Tuner(TunerParameters())
+    expected = [
+        tuned
+        for k, sample in enumerate(data)
+        if (tuned := offline.add(START_NS + k * STEP_NS, sample)) is not None
+    ]
+    graph.wait_for_stamps(boundaries(3, 7))
+    assert [tuned.stamp_ns for tuned in expected] == boundaries(3, 7)
+    by_stamp = {stamp_of(message): message for message in sent}
+    for message, tuned in zip(graph.received, expected, strict=True):
+        original = by_stamp[tuned.stamp_ns]
+        assert message.header == original.header
+        assert message.linear_acceleration == original.linear_acceleration
+        assert message.angular_velocity == original.angular_velocity
+        assert message.orientation_covariance[0] == -1.0
+        np.testing.assert_array_equal(
+            np.reshape(message.linear_acceleration_covariance, (3, 3)), np.diag(tuned.variances[:3])
+        )
+        np.testing.assert_array_equal(
+            np.reshape(message.angular_velocity_covariance, (3, 3)), np.diag(tuned.variances[3:])
+        )
+
+
+def test_a_late_consumer_gets_the_last_estimates(graph):
+    graph.send([imu_message(k, sample) for k, sample in enumerate(samples(700))])
+    graph.wait_for_stamps(boundaries(3, 7))
+    late: list[Imu] = []
+    subscription = graph.listen("process_noise", LATCHED, late)
+    graph.until(lambda: len(late) == 5)
+    assert [stamp_of(message) for message in late] == boundaries(3, 7)
+    graph.peer.destroy_subscription(subscription)
+
+
+def test_the_service_stops_and_resumes_publishing(graph):
+    sent = [imu_message(k, sample) for k, sample in enumerate(samples(800))]
+    graph.send(sent[:400])  # up to 4.113 s
+    assert graph.enable(False).success
+    graph.send(sent[400:600])  # over 5 s and 6 s
+    response = graph.enable(True)
+    assert response.success and response.message == "enabled"
+    graph.send(sent[600:])
+    graph.wait_for_stamps([*boundaries(3, 4), *boundaries(7, 8)])
+
+
+def test_starts_disabled_where_the_parameter_says_so():
+    graph = Graph(enabled=False)
+    sent = [imu_message(k, sample) for k, sample in enumerate(samples(500))]
+    graph.send(sent[:400])
+    graph.enable(True)
+    graph.send(sent[400:])
+    graph.wait_for_stamps(boundaries(5, 5))
+    graph.close()
+
+
+def test_unusable_messages_are_counted_and_named_in_the_diagnostics(graph):
+    statuses: list[DiagnosticStatus] = []
+
+    def keep(message: DiagnosticArray) -> None:
+        statuses.extend(s for s in message.status if s.name.startswith("/auv/insdvl_tuner"))
+
+    graph.peer.create_subscription(DiagnosticArray, "/diagnostics", keep, RELIABLE)
+    sent = [imu_message(k, sample) for k, sample in enumerate(samples(500))]
+    sent[210].linear_acceleration.x = float("nan")
+    sent[220].angular_velocity.z = float("inf")
+    sent[230].angular_velocity_covariance[0] = -1.0
+    sent[240].header.stamp = sent[239].header.stamp
+    sent[250].header.stamp = sent[245].header.stamp
+    graph.send(sent)
+    graph.wait_for_stamps(boundaries(3, 5))
+
+    def value(name: str) -> str | None:
+        values = {entry.key: entry.value for entry in statuses[-1].values} if statuses else {}
+        return values.get(name)
+
+    graph.until(lambda: value("samples") == "495")
+    assert value("rejected imu/data_raw: not_finite") == "2"
+    assert value("rejected imu/data_raw: no_data") == "1"
+    assert value("duplicates") == "1"
+    assert value("out_of_order") == "1"
+    assert value("model") == "paper"
+    assert value("sent process_noise") == "3"
+    assert float(value("Q sigma f_x [m/s^2]")) == pytest.approx(0.1, rel=0.2)
+    assert statuses[-1].level == DiagnosticStatus.OK
+
+
+def test_the_diagnostics_warn_of_a_tuner_that_is_disabled_or_deaf(graph):
+    assert graph.tuner.status().level == DiagnosticStatus.ERROR
+    assert "imu/data_raw" in graph.tuner.status().message
+    graph.send([imu_message(0, samples(1)[0])])
+    assert graph.tuner.status().level == DiagnosticStatus.OK
+    graph.enable(False)
+    assert graph.tuner.status().level == DiagnosticStatus.WARN
+    assert "disabled" in graph.tuner.status().message
+
+
+def test_a_wrong_parameter_is_named():
+    with pytest.raises(ParameterError, match=r"'rate'.*-1\.0"):
+        Graph(rate=-1.0)
+
+
+def run_tuner(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "ros_insdvl.tuner", "--ros-args", *arguments],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        env=os.environ,
+        check=False,
+    )
+
+
+def test_an_altered_model_ends_the_node_with_its_name_and_hash(tmp_path: Path):
+    for file in (SHIPPED, SHIPPED.with_suffix(".json")):
+        shutil.copy(file, tmp_path)
+    model = tmp_path / "paper.npz"
+    data = bytearray(model.read_bytes())
+    data[len(data) // 2] ^= 1
+    model.write_bytes(data)
+
+    ended = run_tuner("-p", f"model:={model}")
+    assert ended.returncode == 1
+    assert str(model) in ended.stderr
+    assert json.loads((tmp_path / "paper.json").read_text())["sha256"] in ended.stderr
+    assert "Traceback" not in ended.stderr
+
+
+def test_a_missing_model_ends_the_node_with_its_name(tmp_path: Path):
+    ended = run_tuner("-p", f"model:={tmp_path / 'absent.npz'}")
+    assert ended.returncode == 1
+    assert str(tmp_path / "absent.json") in ended.stderr
+    assert "Traceback" not in ended.stderr
