@@ -67,8 +67,9 @@ class Player(InsdvlNode[_Group]):
             if self._wait_for_graph() and self._send_all():
                 self._finish_when_arrived()
         except Exception as error:  # an exception in a thread would end nothing
-            print(f"{self.get_name()} failed: {error!r}", file=sys.stderr)
-            self.finish(1)
+            if self.context.ok():  # else an interrupt has taken the middleware away
+                print(f"{self.get_name()} failed: {error!r}", file=sys.stderr)
+                self.finish(1)
 
     def _wait_for_graph(self) -> bool:
         """Whether the consumers are there; False where the node ends before."""
