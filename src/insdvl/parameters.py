@@ -43,7 +43,7 @@ def parameter(
 
     Args:
         default: The value when nothing is given; its type is the parameter's type. A tuple of
-            floats is a list of floats.
+            floats or of strings is a list of them, and is not empty.
         meaning: One sentence.
         unit: SI unit of the value, empty for a plain number.
         low: Smallest value allowed, also of each element of a list.
@@ -80,8 +80,10 @@ class Declaration:
 
     @property
     def type_name(self) -> str:
-        """``bool``, ``int``, ``float``, ``string`` or ``list of floats``."""
-        names = {bool: "bool", int: "int", float: "float", str: "string", tuple: "list of floats"}
+        """``bool``, ``int``, ``float``, ``string``, ``list of floats`` or ``list of strings``."""
+        names = {bool: "bool", int: "int", float: "float", str: "string"}
+        if type(self.default) is tuple:
+            return f"list of {names[type(self.default[0])]}s"
         return names[type(self.default)]
 
     @property
@@ -111,12 +113,12 @@ class Declaration:
             if isinstance(value, str) or not hasattr(value, "__iter__"):
                 raise self._wrong_type(value)
             elements = tuple(value)
-            if any(type(element) is not float for element in elements):
+            if any(type(element) is not type(self.default[0]) for element in elements):
                 raise self._wrong_type(value)
             if self.length is not None and len(elements) != self.length:
                 raise self._out_of_range(value)
             for element in elements:
-                if not self._allows(element):
+                if type(element) is float and not self._allows(element):
                     raise self._out_of_range(value)
             return elements
         if type(value) is not type(self.default):
@@ -654,8 +656,8 @@ class SimulatorParameters:
         low=0.0,
         high=2e9,
     )
-    wait_for_subscribers: int = parameter(
-        0, "Start when imu/data_raw has at least this many subscriptions.", low=0
+    min_subscribers: int = parameter(
+        0, "The mission begins when imu/data_raw has this many subscriptions.", low=0, high=1000
     )
     exclusive_wait: float = parameter(
         0.0,

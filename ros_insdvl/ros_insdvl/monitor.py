@@ -1,0 +1,286 @@
+"""The node `insdvl_monitor`: a live table of how well filters do, for a terminal or a log."""
+
+import sys
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import islice
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from nav_msgs.msg import Odometry
+from numpy.typing import NDArray
+from rclpy.clock import Clock, ClockType
+from sensor_msgs.msg import Imu
+
+from insdvl.evaluation.metrics import rmse
+from insdvl.events import NS
+from insdvl.messages import stamp_ns
+from insdvl.parameters import parameter
+from ros_insdvl.node import InsdvlNode, command_qos, publisher_qos, run
+
+Array = NDArray[np.float64]
+
+TRUTH = "ground_truth/odometry"
+LEARNED_Q = "process_noise"
+TRUE_Q = "ground_truth/process_noise"
+
+LEVELS = {
+    DiagnosticStatus.OK: "ok",
+    DiagnosticStatus.WARN: "warn",
+    DiagnosticStatus.ERROR: "ERROR",
+    DiagnosticStatus.STALE: "stale",
+}
+
+
+@dataclass(frozen=True)
+class MonitorParameters:
+    """Parameters of the monitor."""
+
+    filters: tuple[str, ...] = parameter(
+        ("",),
+        "Namespaces of the filters to show, such as /constant and /learned; an empty one is the "
+        "monitor's own.",
+    )
+    period: float = parameter(
+        1.0, "Time between two tables, of the wall.", unit="s", low=0.1, high=3600.0
+    )
+    window: float = parameter(
+        10.0,
+        "The RMS of the velocity error is over this time of the stamps.",
+        unit="s",
+        low=1.0,
+        high=600.0,
+    )
+    keep: int = parameter(
+        20_000, "Odometry messages kept of each topic.", low=100, high=100_000_000
+    )
+
+
+class OdometrySeries:
+    """What is kept of an odometry topic: a stamp and a row of numbers for each message.
+
+    The columns are those of the slices below; variances are the diagonal of the covariance.
+    """
+
+    POSITION = slice(0, 3)
+    QUATERNION = slice(3, 7)
+    VELOCITY = slice(7, 10)
+    POSE_VARIANCE = slice(10, 16)
+    VELOCITY_VARIANCE = slice(16, 19)
+
+    def __init__(self, keep: int) -> None:
+        self._stamps: deque[int] = deque(maxlen=keep)
+        self._rows: deque[list[float]] = deque(maxlen=keep)
+
+    def __len__(self) -> int:
+        return len(self._stamps)
+
+    def add(self, message: Odometry) -> None:
+        """Keep a message."""
+        pose, twist = message.pose, message.twist
+        p, q, v = pose.pose.position, pose.pose.orientation, twist.twist.linear
+        self._stamps.append(stamp_ns(message.header))
+        self._rows.append(
+            [
+                *(p.x, p.y, p.z, q.x, q.y, q.z, q.w, v.x, v.y, v.z),
+                *pose.covariance[::7].tolist(),
+                *twist.covariance[:15:7].tolist(),
+            ]
+        )
+
+    @property
+    def newest_ns(self) -> int | None:
+        """Stamp of the last message."""
+        return self._stamps[-1] if self._stamps else None
+
+    def arrays(self, count: int | None = None) -> tuple[NDArray[np.int64], Array]:
+        """Stamps (N,) and rows (N, 19) of the last ``count`` messages, or of all, by stamp."""
+        n = len(self) if count is None else min(count, len(self))
+        stamps = np.fromiter(islice(reversed(self._stamps), n), dtype=np.int64, count=n)
+        rows = np.array(list(islice(reversed(self._rows), n)), dtype=float).reshape(n, 19)
+        order = np.argsort(stamps, kind="stable")
+        return stamps[order], rows[order]
+
+
+@dataclass
+class Watched:
+    """A filter, and what is known of it."""
+
+    label: str
+    node: str
+    series: OdometrySeries
+    status: dict[str, str] = field(default_factory=dict)
+    level: str = "-"
+    message: str = ""
+
+    def value(self, key: str) -> str:
+        """A value of its last diagnostics, `-` where there is none."""
+        return self.status.get(key, "-")
+
+    @property
+    def rejected(self) -> int:
+        """Number of messages and updates that it did not use."""
+        return sum(int(v) for key, v in self.status.items() if key.startswith("rejected "))
+
+    @property
+    def nis(self) -> str:
+        """Its mean normalised innovation squared."""
+        return next((v for key, v in self.status.items() if key.startswith("NIS")), "-")
+
+
+class Monitor(InsdvlNode[MonitorParameters]):
+    """Listens to filters and to the truth where there is one, and prints a table.
+
+    Attributes:
+        truth: The true odometry.
+        filters: The filters, in the order of the parameter.
+        learned_q: Stamps and variances (6,) of process_noise, f_b then w_ib_b.
+        true_q: The same of ground_truth/process_noise.
+        statuses: The last diagnostics of every node, by its name.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("insdvl_monitor", MonitorParameters, **options)
+        keep = self.parameters.keep
+        self.truth = OdometrySeries(keep)
+        self.listen(Odometry, TRUTH, self.truth.add)
+        self.filters: list[Watched] = []
+        for namespace in self.parameters.filters:
+            prefix = f"{namespace}/" if namespace else ""
+            watched = Watched(
+                label=namespace or self.get_namespace(),
+                node=self.resolve_topic_name(f"{prefix}insdvl_filter"),
+                series=OdometrySeries(keep),
+            )
+            self.filters.append(watched)
+            self.listen(Odometry, f"{prefix}odometry/filtered", watched.series.add)
+        self.learned_q: deque[tuple[int, Array]] = deque(maxlen=keep)
+        self.true_q: deque[tuple[int, Array]] = deque(maxlen=keep)
+        for topic, kept in ((LEARNED_Q, self.learned_q), (TRUE_Q, self.true_q)):
+            self.listen(Imu, topic, _keep_variances(kept), command_qos())
+        self.statuses: dict[str, dict[str, str]] = {}
+        self.listen(DiagnosticArray, "/diagnostics", self._on_diagnostics, publisher_qos())
+        self._lines_above = 0
+        self.create_timer(
+            self.parameters.period, self._print, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            values = {item.key: item.value for item in status.values}
+            self.statuses[status.name] = values
+            for watched in self.filters:
+                if watched.node == status.name:
+                    watched.status = values
+                    watched.level = LEVELS.get(status.level, "?")
+                    watched.message = status.message
+
+    def velocity_error(self, watched: Watched) -> tuple[Array, Array]:
+        """Body velocity errors (N, 3) over the last window, and their sigmas (N, 3) [m/s].
+
+        The truth is interpolated to the stamps of the filter; N is 0 where they do not overlap.
+        """
+        none = np.empty((0, 3)), np.empty((0, 3))
+        newest = watched.series.newest_ns
+        if newest is None or len(self.truth) == 0:
+            return none
+        stamps, rows = watched.series.arrays(count=5000)
+        true_stamps, true_rows = self.truth.arrays(count=10_000)
+        begin = max(newest - self.parameters.window * NS, true_stamps[0])
+        inside = (stamps >= begin) & (stamps <= true_stamps[-1])
+        if not inside.any():
+            return none
+        t, true_t = (s.astype(float) - begin for s in (stamps[inside], true_stamps))
+        truth = np.stack([np.interp(t, true_t, v) for v in true_rows[:, self.truth.VELOCITY].T], 1)
+        error = rows[inside][:, OdometrySeries.VELOCITY] - truth
+        return error, np.sqrt(rows[inside][:, OdometrySeries.VELOCITY_VARIANCE])
+
+    def _print(self) -> None:
+        if sys.stdout.isatty():
+            lines = self.table()
+            above = f"\x1b[{self._lines_above}A\x1b[J" if self._lines_above else ""
+            print(above + "\n".join(lines), flush=True)
+            self._lines_above = len(lines)
+        else:
+            print(self.line(), flush=True)
+
+    def _time(self) -> str:
+        newest = [w.series.newest_ns for w in self.filters if w.series.newest_ns is not None]
+        return f"{max(newest) / NS:.1f} s" if newest else "no odometry yet"
+
+    def table(self) -> list[str]:
+        """The table's lines."""
+        window = f"RMS {self.parameters.window:g} s"
+        lines = [
+            f"stamp {self._time()}",
+            f"{'':12}{'body velocity error [m/s]':^30}{'':8}{'IMU':>8}{'odometry':>10}",
+            f"{'filter':12}{'now':>8}{window:>11}{'3 sigma':>11}{'NIS':>8}"
+            f"{'Hz':>8}{'Hz':>10}{'rejected':>10}  status",
+        ]
+        for watched in self.filters:
+            error, sigma = self.velocity_error(watched)
+            now = rms = bound = "-"
+            if len(error):
+                now = f"{np.linalg.norm(error[-1]):.3f}"
+                rms = f"{rmse(error):.3f}"
+                bound = f"{3.0 * np.linalg.norm(sigma[-1]):.3f}"
+            lines.append(
+                f"{watched.label:12}{now:>8}{rms:>11}{bound:>11}{watched.nis:>8}"
+                f"{watched.value('rate imu/data_raw [Hz]'):>8}"
+                f"{watched.value('rate odometry/filtered [Hz]'):>10}{watched.rejected:>10}"
+                f"  {watched.level}: {watched.message}"
+            )
+        channels = [f"{triad}_{axis}" for triad in "fw" for axis in "xyz"]
+        lines.append(
+            f"{'noise sigma':12}"
+            + "".join(f"{channel:>9}" for channel in channels)
+            + "  [m/s^2, rad/s per sample]"
+        )
+        for label, kept in (("true", self.true_q), ("learned", self.learned_q)):
+            lines.append(f"{label:12}" + "".join(f"{text:>9}" for text in _sigmas(kept)))
+        return lines
+
+    def line(self) -> str:
+        """All of the table that matters in one line."""
+        parts = [f"stamp {self._time()}"]
+        for watched in self.filters:
+            error, _ = self.velocity_error(watched)
+            rms = f"{rmse(error):.3f}" if len(error) else "-"
+            parts.append(
+                f"{watched.label} velocity error {rms} m/s, NIS {watched.nis}, "
+                f"{watched.value('rate imu/data_raw [Hz]')} Hz, rejected {watched.rejected}, "
+                f"{watched.level}"
+            )
+        if self.learned_q:
+            parts.append(f"sigma learned {' '.join(_sigmas(self.learned_q))}")
+        if self.true_q:
+            parts.append(f"true {' '.join(_sigmas(self.true_q))}")
+        return " | ".join(parts)
+
+
+def _keep_variances(kept: deque[tuple[int, Array]]) -> Any:
+    def keep(message: Imu) -> None:
+        variances = np.concatenate(
+            [message.linear_acceleration_covariance[::4], message.angular_velocity_covariance[::4]]
+        )
+        kept.append((stamp_ns(message.header), variances))
+
+    return keep
+
+
+def _sigmas(kept: Sequence[tuple[int, Array]]) -> list[str]:
+    if not kept:
+        return ["-"] * 6
+    # Zero and -1 say that a variance is unknown (REP-145).
+    return [f"{np.sqrt(variance):.4f}" if variance > 0.0 else "-" for variance in kept[-1][1]]
+
+
+def main() -> int:
+    """Run the node until it is interrupted."""
+    return run(Monitor)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
