@@ -38,16 +38,8 @@ DVL_ERROR = slice(15, 18)  # m/s, only with dvl.bias_model
 # First elements of the blocks, for the kernels.
 _V, _A, _F, _W, _P, _D = 0, 3, 6, 9, 12, 15
 
-# The blocks (row, column) of the matrices that are not zero. The bias rows of F are zero, those of
-# Phi the identity; the DVL error decays by itself.
-_F_BLOCKS = np.array(
-    [(_V, _V), (_V, _A), (_V, _F), (_V, _W), (_A, _V), (_A, _A), (_A, _W), (_P, _V), (_P, _A)]
-)
-_PHI_BLOCKS = np.array(
-    [(_V, _V), (_V, _A), (_V, _F), (_V, _W)]
-    + [(_A, _V), (_A, _A), (_A, _F), (_A, _W)]
-    + [(_P, _V), (_P, _A), (_P, _F), (_P, _W), (_P, _P)]
-)
+# F and Phi are dense in the rows of velocity, attitude and position, and in the first twelve columns;
+# the bias rows of F are zero. Loops that run over just these blocks skip half of all products.
 
 
 @kernel
@@ -111,34 +103,32 @@ def dynamics(w: Workspace, c: Constants) -> None:
 
 
 @kernel
-def block_product(out: Array, A: Array, blocks: Array, B: Array) -> None:
-    """out += A B, for an A of which only the named 3x3 blocks are not zero."""
-    columns = B.shape[1]
-    for block in range(blocks.shape[0]):
-        row, k = blocks[block, 0], blocks[block, 1]
-        for i in range(row, row + 3):
-            a, b, c = A[i, k], A[i, k + 1], A[i, k + 2]
-            for j in range(columns):
-                out[i, j] += a * B[k, j] + b * B[k + 1, j] + c * B[k + 2, j]
-
-
-@kernel
 def discretise(w: Workspace, c: Constants, dt: float) -> None:
     """Phi = I + F dt + (F dt)^2 / 2 into ``w.Phi``; the DVL error decays exactly."""
     F, Phi = w.F, w.Phi
-    n = F.shape[0]
-    Phi[:] = 0.0
-    block_product(Phi, F, _F_BLOCKS, F)
     for i in range(_F):
-        for j in range(_P):
-            Phi[i, j] = dt * (F[i, j] + 0.5 * dt * Phi[i, j])
-    for i in range(_P, _D):
-        for j in range(_P):
-            Phi[i, j] = dt * (F[i, j] + 0.5 * dt * Phi[i, j])
-    for i in range(n):
+        _transition_row(Phi, F, i, dt)
         Phi[i, i] += 1.0
-    for i in range(_D, n):
+    for i in range(_F, _P):
+        Phi[i, i] = 1.0
+    for i in range(_P, _D):
+        _transition_row(Phi, F, i, dt)
+        Phi[i, i] = 1.0
+    for i in range(_D, F.shape[0]):
         Phi[i, i] = np.exp(-c.bias_rate * dt)
+    for i in range(F.shape[0]):
+        for j in range(F.shape[0]):
+            w.Phi_T[i, j] = Phi[j, i]
+
+
+@kernel
+def _transition_row(Phi: Array, F: Array, i: int, dt: float) -> None:
+    """Row i of F dt + (F dt)^2 / 2; only the velocity and attitude rows of F enter its square."""
+    for j in range(_P):
+        square = 0.0
+        for k in range(_F):
+            square += F[i, k] * F[k, j]
+        Phi[i, j] = dt * (F[i, j] + 0.5 * dt * square)
 
 
 @kernel
@@ -176,36 +166,55 @@ def input_noise(
 
 @kernel
 def propagate(P: Array, w: Workspace) -> None:
-    """P <- Phi (P + Q_d / 2) Phi^T + Q_d / 2, in place: second order in the step, symmetric."""
+    """P <- Phi (P + Q_d / 2) Phi^T + Q_d / 2, in place: second order in the step, symmetric.
+
+    Phi is the identity in the bias rows, so these rows of P follow from its symmetry.
+    """
     n = P.shape[0]
-    A, B, Phi, Q_d = w.A, w.B, w.Phi, w.Q_d
+    A, Phi, Phi_T, Q_d = w.A, w.Phi, w.Phi_T, w.Q_d
     for i in range(n):
         for j in range(n):
             P[i, j] += 0.5 * Q_d[i, j]
-    _transform(A, Phi, P)
     for i in range(n):
+        if i < _F or i >= _P:
+            _combine(A[i], Phi[i], P)
+            for k in range(_P, n):
+                if Phi[i, k] != 0.0:
+                    for j in range(n):
+                        A[i, j] += Phi[i, k] * P[k, j]
+    for i in range(n):
+        if i < _F or i >= _P:
+            _combine(P[i], A[i], Phi_T)
+            for j in range(_P, n):
+                P[i, j] += A[i, j] * Phi_T[j, j]
+    for i in range(_F, _P):
         for j in range(n):
-            B[i, j] = A[j, i]
-    _transform(A, Phi, B)
+            if j < _F or j >= _P:
+                P[i, j] = P[j, i]
     for i in range(n):
         for j in range(i + 1):
-            mean = 0.5 * (A[i, j] + A[j, i]) + 0.5 * Q_d[i, j]
-            P[i, j] = mean
-            P[j, i] = mean
+            P[i, j] = 0.5 * (P[i, j] + P[j, i] + Q_d[i, j])
+            P[j, i] = P[i, j]
 
 
 @kernel
-def _transform(out: Array, Phi: Array, P: Array) -> None:
-    """out = Phi P."""
-    n = P.shape[0]
-    out[:] = 0.0
-    block_product(out, Phi, _PHI_BLOCKS, P)
-    for i in range(_F, _P):
-        for j in range(n):
-            out[i, j] = P[i, j]
-    for i in range(_D, n):
-        for j in range(n):
-            out[i, j] = Phi[i, i] * P[i, j]
+def _combine(out: Array, a: Array, B: Array) -> None:
+    """out = sum over k < 12 of a[k] B[k], written out so that it runs on vectors of j."""
+    for j in range(B.shape[1]):
+        out[j] = (
+            a[0] * B[0, j]
+            + a[1] * B[1, j]
+            + a[2] * B[2, j]
+            + a[3] * B[3, j]
+            + a[4] * B[4, j]
+            + a[5] * B[5, j]
+            + a[6] * B[6, j]
+            + a[7] * B[7, j]
+            + a[8] * B[8, j]
+            + a[9] * B[9, j]
+            + a[10] * B[10, j]
+            + a[11] * B[11, j]
+        )
 
 
 @kernel

@@ -142,8 +142,9 @@ def workspace_type(n: int) -> np.dtype[np.void]:
             # Error dynamics and discretisation
             ("F", "f8", (n, n)),
             ("Phi", "f8", (n, n)),
+            ("Phi_T", "f8", (n, n)),
             ("Q_d", "f8", (n, n)),
-            ("A", "f8", (n, n)),
+            ("A", "f8", (n, n)),  # scratch, as B
             ("B", "f8", (n, n)),
             # Measurement
             ("H", "f8", (3, n)),
