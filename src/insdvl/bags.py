@@ -22,12 +22,26 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from insdvl.events import NS
+from insdvl.parameters import ReplayParameters
 
 IMU = "sensor_msgs/msg/Imu"
 FIX = "sensor_msgs/msg/NavSatFix"
 TWIST = "geometry_msgs/msg/TwistStamped"
 TWIST_WITH_COVARIANCE = "geometry_msgs/msg/TwistWithCovarianceStamped"
 ODOMETRY = "nav_msgs/msg/Odometry"
+
+#: What is played of a recording: the parameter that names the recorded topic, the topic that the
+#: nodes know it by, and its type.
+INPUTS = (
+    ("imu_topic", "imu/data_raw", IMU),
+    ("dvl_topic", "dvl/velocity", TWIST),
+    ("dvl_covariance_topic", "dvl/velocity_cov", TWIST_WITH_COVARIANCE),
+    ("process_noise_topic", "process_noise", IMU),
+    ("ground_truth_topic", "ground_truth/odometry", ODOMETRY),
+    ("true_process_noise_topic", "ground_truth/process_noise", IMU),
+    ("fix_topic", "gps/fix", FIX),
+    ("set_odometry_topic", "set_odometry", ODOMETRY),
+)
 
 STORAGES = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
 
@@ -159,7 +173,8 @@ def decode(raw: Raw) -> Recorded:
             message = typestore().deserialize_cdr(raw.data, raw.type)
     except Exception as error:  # damaged bytes make a decoder raise anything
         raise BagError(
-            f"damaged message on topic {raw.topic} at {raw.time_ns / NS:.9f} s ({raw.type}): {error}"
+            f"damaged message on topic {raw.topic} at {raw.time_ns / NS:.9f} s ({raw.type}): "
+            f"{_text(error)}"
         ) from error
     return Recorded(raw.topic, raw.type, raw.time_ns, message)
 
@@ -280,6 +295,40 @@ class BagReader:
             BagError: The recording or one of the messages is damaged.
         """
         return map(decode, self.raw(topics))
+
+
+def played(bag: BagReader, parameters: ReplayParameters) -> dict[str, str]:
+    """The recorded topics that are played, and the topics that the nodes know them by.
+
+    Raises:
+        BagError: A topic has another type, two parameters name one topic, or the IMU or the DVL is
+            not in the recording.
+    """
+    topics: dict[str, str] = {}
+    for field, topic, kind in INPUTS:
+        recorded = getattr(parameters, field)
+        if not recorded or not bag.has(recorded, kind):
+            continue
+        if recorded in topics:
+            raise BagError(f"{field} {recorded!r} is already played on {topics[recorded]}")
+        topics[recorded] = topic
+    bag.require(parameters.imu_topic, IMU)
+    if not {"dvl/velocity", "dvl/velocity_cov"} & set(topics.values()):
+        bag.require(parameters.dvl_topic, TWIST)
+    return topics
+
+
+def stamp_ns(raw: Raw) -> int:
+    """The stamp of the header that a recorded message begins with [ns].
+
+    Raises:
+        BagError: The message is too short to have one.
+    """
+    try:
+        sec, nanosec, _ = _HEADERS[raw.data[:2]].unpack_from(raw.data, _ENCAPSULATION)
+    except (KeyError, struct.error) as error:
+        raise BagError(f"damaged message on topic {raw.topic}: it has no header") from error
+    return int(sec) * NS + int(nanosec)
 
 
 @final

@@ -1,0 +1,76 @@
+"""The node `insdvl_replay`: plays a rosbag2 recording onto the topics of the graph."""
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from geometry_msgs.msg import TwistStamped, TwistWithCovarianceStamped
+from nav_msgs.msg import Odometry
+from ros_insdvl.node import latched_qos, run
+from sensor_msgs.msg import Imu, NavSatFix
+
+from insdvl import bags
+from insdvl.bags import BagError, BagReader
+from insdvl.parameters import ParameterError, ReplayParameters
+from ros_insdvl_sim.player import Player
+
+TYPES = {
+    bags.IMU: Imu,
+    bags.FIX: NavSatFix,
+    bags.TWIST: TwistStamped,
+    bags.TWIST_WITH_COVARIANCE: TwistWithCovarianceStamped,
+    bags.ODOMETRY: Odometry,
+}
+
+
+class Replay(Player[ReplayParameters]):
+    """Plays a recording once, in the recorded order, at the pace of the IMU's stamps.
+
+    Messages are published as the bytes that were recorded, so nothing of them changes.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        """Open the recording and read it through, before anything is published.
+
+        Raises:
+            ParameterError: A parameter is wrong, or the recording cannot be played.
+        """
+        super().__init__("insdvl_replay", ReplayParameters, **options)
+        try:
+            self._open()
+        except BagError as error:
+            self.destroy_node()
+            raise ParameterError(f"parameter 'bag': {error}") from error
+        for recorded, topic in self._topics.items():
+            qos = latched_qos() if topic == "process_noise" else None
+            self.advertise(TYPES[self._bag.topics[recorded].type], topic, qos)
+        self.start_playing(
+            rate_factor=self.parameters.rate_factor,
+            min_subscribers=self.parameters.min_subscribers,
+        )
+
+    def _open(self) -> None:
+        if not self.parameters.bag:
+            raise BagError("it is empty, and names no recording")
+        self._bag = BagReader(Path(self.parameters.bag))
+        self._topics = bags.played(self._bag, self.parameters)
+        for raw in self._bag.raw(self._topics):
+            bags.stamp_ns(raw)
+
+    def timeline(self) -> Iterator[tuple[int, str, bytes]]:
+        """All messages in the recorded order; the time is that of the newest IMU stamp so far."""
+        now_ns = min(bags.stamp_ns(raw) for raw in self._bag.raw([self.parameters.imu_topic]))
+        for raw in self._bag.raw(self._topics):
+            if raw.topic == self.parameters.imu_topic:
+                now_ns = max(now_ns, bags.stamp_ns(raw))
+            yield now_ns, self._topics[raw.topic], raw.data
+
+
+def main() -> None:
+    """Run the node until the recording is played and all of it has arrived."""
+    sys.exit(run(Replay))
+
+
+if __name__ == "__main__":
+    main()
