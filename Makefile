@@ -10,7 +10,7 @@ unexport FASTRTPS_DEFAULT_PROFILES_FILE RMW_IMPLEMENTATION VIRTUAL_ENV _ROS_WHEE
 
 ARGS ?=
 # Folders are in the list so that a deleted file is noticed as well.
-SOURCES := $(shell find src ros_insdvl ros_insdvl_sim models tools/build.sh \
+SOURCES := $(shell find src ros_insdvl ros_insdvl_sim models tools/build.sh tools/warm.py \
 	-name __pycache__ -prune -o -name '*.egg-info' -prune -o -print)
 
 .PHONY: demo test test-jazzy clean

@@ -12,6 +12,7 @@ echo "Build: insdvl, ros_insdvl and ros_insdvl_sim go into $folder."
 site=$("$python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
 rm -rf "build/$name" "$site"/insdvl "$site"/insdvl-* "$site"/ros_insdvl* \
     "$folder"/lib/ros_insdvl* "$folder"/share/insdvl "$folder"/share/ros_insdvl*
+mkdir -p build
 "$folder/bin/colcon" --log-base "log/$name" build --merge-install \
     --build-base "build/$name" --install-base "$folder" --event-handlers console_direct- \
     >"build/$name.log" 2>&1 || {
@@ -19,5 +20,5 @@ rm -rf "build/$name" "$site"/insdvl "$site"/insdvl-* "$site"/ros_insdvl* \
     echo "The build failed: colcon says why above." >&2
     exit 1
 }
-echo "Warm-up: the filter's hot functions are compiled and cached."
-"$python" -m insdvl.warm
+echo "Warm-up: the hot functions are compiled and cached."
+"$python" tools/warm.py

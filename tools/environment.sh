@@ -61,7 +61,7 @@ done
     stop "This needs Python with venv, of version $versions, on the PATH or named by PYTHON=...; found: ${seen:-no Python}."
 
 pins=$folder/constraints.txt
-echo "Set-up: $("$python" --version) ($python) and the ROS 2 wheels go into $folder (once; about 1.5 GB, a few minutes)."
+echo "Set-up: $("$python" --version) ($python) and the ROS 2 wheels go into $folder (once; about 1 GB, a few minutes)."
 rm -rf "$folder"
 "$python" -m venv "$folder"
 if [ -n "$other_pins" ]; then

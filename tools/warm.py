@@ -1,0 +1,12 @@
+"""Compile the hot functions of simulator, filter and tuner, so that programs start quickly."""
+
+from insdvl.fold import run
+from insdvl.parameters import FilterParameters, SimulatorParameters, TunerParameters
+from insdvl.simulation.mission import mission_of
+from insdvl.tuner.tuner import Tuner
+from ros_insdvl.filter import compile_kernels
+
+mission = mission_of(SimulatorParameters())
+run(FilterParameters(), mission.stamps_ns, mission.f_b, mission.w_ib_b, [])
+compile_kernels(FilterParameters())
+Tuner(TunerParameters())
