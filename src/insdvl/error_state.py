@@ -168,53 +168,76 @@ def input_noise(
 def propagate(P: Array, w: Workspace) -> None:
     """P <- Phi (P + Q_d / 2) Phi^T + Q_d / 2, in place: second order in the step, symmetric.
 
-    Phi is the identity in the bias rows, so these rows of P follow from its symmetry.
+    Phi is the identity in the bias rows. So with A = Phi (P + Q_d / 2) the covariance with a bias is
+    in A already, and only velocity, attitude and position need the second product, A Phi^T. The
+    loops over the fifteen states have a fixed length, which lets the compiler unroll them.
     """
-    n = P.shape[0]
-    A, Phi, Phi_T, Q_d = w.A, w.Phi, w.Phi_T, w.Q_d
-    for i in range(n):
-        for j in range(n):
+    A, Q_d = w.A, w.Q_d
+    for i in range(_D):
+        for j in range(_D):
             P[i, j] += 0.5 * Q_d[i, j]
-    for i in range(n):
-        if i < _F or i >= _P:
-            _combine(A[i], Phi[i], P)
-            for k in range(_P, n):
-                if Phi[i, k] != 0.0:
-                    for j in range(n):
-                        A[i, j] += Phi[i, k] * P[k, j]
-    for i in range(n):
-        if i < _F or i >= _P:
-            _combine(P[i], A[i], Phi_T)
-            for j in range(_P, n):
-                P[i, j] += A[i, j] * Phi_T[j, j]
-    for i in range(_F, _P):
-        for j in range(n):
-            if j < _F or j >= _P:
-                P[i, j] = P[j, i]
-    for i in range(n):
+    for i in range(_F):
+        for j in range(_D):
+            A[i, j] = _combination(w.Phi, i, P, j)
+    for i in range(_P, _D):
+        for j in range(_D):
+            A[i, j] = _combination(w.Phi, i, P, j) + P[i, j]
+
+    if P.shape[0] > _D:
+        _propagate_dvl_error(P, w)
+
+    for i in range(_F):
         for j in range(i + 1):
-            P[i, j] = 0.5 * (P[i, j] + P[j, i] + Q_d[i, j])
-            P[j, i] = P[i, j]
+            _set_symmetric(P, i, j, _combination(A, i, w.Phi_T, j) + 0.5 * Q_d[i, j])
+        for j in range(_F, _P):
+            _set_symmetric(P, i, j, A[i, j] + 0.5 * Q_d[i, j])
+    for i in range(_P, _D):
+        for j in range(_F):
+            _set_symmetric(P, i, j, _combination(A, i, w.Phi_T, j) + 0.5 * Q_d[i, j])
+        for j in range(_F, _P):
+            _set_symmetric(P, i, j, A[i, j] + 0.5 * Q_d[i, j])
+        for j in range(_P, i + 1):
+            _set_symmetric(P, i, j, _combination(A, i, w.Phi_T, j) + A[i, j] + 0.5 * Q_d[i, j])
+    for i in range(_F, _P):
+        P[i, i] += 0.5 * Q_d[i, i]
 
 
 @kernel
-def _combine(out: Array, a: Array, B: Array) -> None:
-    """out = sum over k < 12 of a[k] B[k], written out so that it runs on vectors of j."""
-    for j in range(B.shape[1]):
-        out[j] = (
-            a[0] * B[0, j]
-            + a[1] * B[1, j]
-            + a[2] * B[2, j]
-            + a[3] * B[3, j]
-            + a[4] * B[4, j]
-            + a[5] * B[5, j]
-            + a[6] * B[6, j]
-            + a[7] * B[7, j]
-            + a[8] * B[8, j]
-            + a[9] * B[9, j]
-            + a[10] * B[10, j]
-            + a[11] * B[11, j]
-        )
+def _combination(A: Array, i: int, B: Array, j: int) -> float:
+    """Sum over k of A[i, k] B[k, j], for k up to the last bias."""
+    total = 0.0
+    for k in range(_P):
+        total += A[i, k] * B[k, j]
+    return total
+
+
+@kernel
+def _set_symmetric(P: Array, i: int, j: int, value: float) -> None:
+    P[i, j] = value
+    P[j, i] = value
+
+
+@kernel
+def _propagate_dvl_error(P: Array, w: Workspace) -> None:
+    """The rows of the DVL error, which decays by itself and drives no other state.
+
+    It comes before the other rows of P change, since its covariance with them is Phi P decay.
+    """
+    A, Phi, Q_d = w.A, w.Phi, w.Q_d
+    for d in range(_D, P.shape[0]):
+        for i in range(_D):
+            A[i, d] = P[i, d]
+            if i < _F:
+                A[i, d] = _combination(Phi, i, P, d)
+            elif i >= _P:
+                A[i, d] += _combination(Phi, i, P, d)
+        for i in range(_D):
+            _set_symmetric(P, i, d, A[i, d] * Phi[d, d])
+        for e in range(_D, d + 1):
+            value = P[d, e] * Phi[d, d] * Phi[e, e]
+            if d == e:
+                value += 0.5 * Q_d[d, d] * (1.0 + Phi[d, d] * Phi[d, d])
+            _set_symmetric(P, d, e, value)
 
 
 @kernel
