@@ -20,7 +20,7 @@ setup(
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/config", CONFIG),
     ],
-    install_requires=["matplotlib", "numpy"],
+    install_requires=["numpy", "pyyaml", "scipy"],
     extras_require={"test": ["pytest"]},
     zip_safe=True,
     entry_points={

@@ -111,8 +111,10 @@ def test_the_core_is_free_of_ros(tmp_path: Path) -> None:
         if module.name not in ("__init__.py", "__main__.py")
     ]
     code = f"import sys\nfor name in {names}: __import__(name)\nprint(*sys.modules)"
-    loaded = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
-    ).stdout.split()
+    result = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert result.returncode == 0, result.stderr
+    loaded = result.stdout.split()
     assert "insdvl.kernels" in loaded
     assert [name for name in loaded if re.match(r"rclpy|rosidl|rpyutils|\w+_msgs\b", name)] == []

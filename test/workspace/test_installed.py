@@ -24,8 +24,9 @@ MAINS = [f"{package}.{name}" for package, names in EXECUTABLES.items() for name 
 def python(code: str, folder: Path) -> str:
     """The output of code that runs outside the repository, and so sees installed packages only."""
     result = subprocess.run(
-        [sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=True
+        [sys.executable, "-c", code], cwd=folder, capture_output=True, text=True
     )
+    assert result.returncode == 0, result.stderr
     return result.stdout
 
 
