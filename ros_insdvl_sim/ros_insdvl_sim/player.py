@@ -72,7 +72,10 @@ class Player(InsdvlNode[_Group]):
 
     def _wait_for_graph(self) -> bool:
         """Whether the consumers are there; False where the node ends before."""
-        self.get_logger().info(f"waiting for {self._min_subscribers} subscriptions of imu/data_raw")
+        if self._min_subscribers:
+            self.get_logger().info(
+                f"waiting for {self._min_subscribers} subscriptions of imu/data_raw"
+            )
         started = settled = time.monotonic()
         listeners: list[int] = []
         while not self._stop.wait(0.01):
