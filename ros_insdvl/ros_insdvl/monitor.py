@@ -163,6 +163,7 @@ class Monitor(InsdvlNode[MonitorParameters]):
         self.statuses: dict[str, dict[str, str]] = {}
         self.listen(DiagnosticArray, "/diagnostics", self._on_diagnostics, publisher_qos())
         self._lines_above = 0
+        self._last_line = ""
         self.create_timer(
             self.parameters.period, self._print, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
@@ -203,8 +204,9 @@ class Monitor(InsdvlNode[MonitorParameters]):
             above = f"\x1b[{self._lines_above}A\x1b[J" if self._lines_above else ""
             print(above + "\n".join(lines), flush=True)
             self._lines_above = len(lines)
-        else:
-            print(self.line(), flush=True)
+        elif (line := self.line()) != self._last_line:
+            print(line, flush=True)
+            self._last_line = line
 
     def _time(self) -> str:
         newest = [w.series.newest_ns for w in self.filters if w.series.newest_ns is not None]
