@@ -56,8 +56,10 @@ def to_forest(ensemble: BaggingRegressor) -> Forest:
         tree = estimator.tree_
         order = _preorder(tree.children_left, tree.children_right)
         leaf = tree.children_left[order] == LEAF
+        feature = np.full(order.size, LEAF)
         # A tree may see the columns in an order of its own.
-        features.append(np.where(leaf, LEAF, np.asarray(columns)[tree.feature[order]]))
+        feature[~leaf] = np.asarray(columns)[tree.feature[order][~leaf]]
+        features.append(feature)
         thresholds.append(_rounded_down(tree.threshold[order][~leaf]))
         values.append(tree.value[order, 0, 0][leaf])
         roots.append(n_nodes)

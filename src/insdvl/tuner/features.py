@@ -41,7 +41,8 @@ MIN_SAMPLES = 3
 
 _CONSTANT = 1e-14  # of the largest |x|: about 50 times the rounding of one sample
 _TINY, _HUGE = 1e-70, 1e70
-_BINS = 64  # fits np.uint8; a few samples in each for a window of 200
+_FEW = 8  # samples that are sorted
+_HALVINGS = 60  # of an interval: the rounding of a double is then reached, short of outliers
 
 
 def features(windows: Array) -> Array:
@@ -59,12 +60,12 @@ def features(windows: Array) -> Array:
     windows = np.ascontiguousarray(windows, dtype=np.float64)
     if windows.ndim != 2 or windows.shape[1] < MIN_SAMPLES:
         raise ValueError(f"windows must be (M, N) with N >= {MIN_SAMPLES}, got {windows.shape}")
-    usable = np.abs(windows) <= _HUGE
-    if not usable.all():
-        m, i = np.argwhere(~usable)[0]
-        raise ValueError(f"window {m} has {windows[m, i]} at {i}: values must be within {_HUGE:g}")
     out = np.empty((windows.shape[0], len(FEATURE_NAMES)))
-    _features(windows, out)
+    refused = _features(windows, out)
+    if refused >= 0:
+        values = windows[refused]
+        wrong = values[~(np.abs(values) <= _HUGE)][0]
+        raise ValueError(f"window {refused} has {wrong}: values must be within {_HUGE:g} of zero")
     return out
 
 
@@ -86,56 +87,63 @@ SCHEMAS: Mapping[str, Schema] = MappingProxyType({"paper": Schema(FEATURE_NAMES,
 
 
 @kernel
-def _median(
-    x: Array,
-    low: float,
-    high: float,
-    bins: NDArray[np.uint8],
-    counts: NDArray[np.int64],
-    few: Array,
-) -> float:
-    """Median of ``x`` (N,) with values in [low, high].
-
-    Counts the samples in equal bins and sorts only those of the bin, or two, that hold the middle:
-    a comparison sort of 200 samples costs more than all else here. ``bins`` (N,), ``counts``
-    (_BINS,) and ``few`` (N,) are scratch.
-    """
-    N = x.size
-    scale = (_BINS - 1) / (high - low)
-    if not scale < np.inf:  # no width, or one so small that its inverse overflows: one bin
-        scale = 0.0
-    counts[:] = 0
-    for i in range(N):
-        b = np.uint8(np.int32((x[i] - low) * scale))
-        bins[i] = b
-        counts[b] += 1
-
-    rank = (N - 1) // 2  # of the lower middle; the upper one is N // 2
-    first, below = 0, 0
-    while below + counts[first] <= rank:
-        below += counts[first]
-        first += 1
-    last, up_to = first, below + counts[first]
-    while up_to <= N // 2:
-        last += 1
-        up_to += counts[last]
-
+def _count(x: Array, limit: float) -> int:
+    """How many of ``x`` are at most ``limit``."""
     n = 0
-    for i in range(N):
-        if first <= bins[i] <= last:
-            value, j = x[i], n
-            while j > 0 and few[j - 1] > value:
-                few[j] = few[j - 1]
-                j -= 1
-            few[j] = value
-            n += 1
-    lower, upper = few[rank - below], few[N // 2 - below]
-    return lower if lower == upper else 0.5 * lower + 0.5 * upper
+    for i in range(x.size):
+        n += x[i] <= limit
+    return n
 
 
 @kernel
-def _features(windows: Array, out: Array) -> None:
-    """`features` of checked ``windows`` (M, N) into ``out`` (M, 24)."""
+def _median(x: Array, smallest: float, largest: float, few: Array) -> float:
+    """Median of ``x`` (N,), whose extremes are known.
+
+    Halves the interval until it holds a few samples, and sorts those. Counting and gathering have
+    no branches to mispredict, which is what a sort of all samples would spend its time on. Equal
+    samples cannot be separated, hence the bound on the halvings. ``few`` (N,) is scratch.
+    """
+    N = x.size
+    lower, upper = (N - 1) // 2, N // 2  # ranks of the middle, equal where N is odd
+    low, high = smallest, largest
+    below, inside = 0, N  # samples before the interval (low, high] and in it
+    for _ in range(_HALVINGS):
+        if inside <= _FEW:
+            break
+        middle = low + 0.5 * (high - low)
+        n = _count(x, middle)
+        if n <= lower:
+            low, below, inside = middle, n, inside - (n - below)
+        else:
+            high, inside = middle, n - below
+    if below == 0:
+        low = -np.inf  # the smallest sample is inside, too
+    n = 0
+    for i in range(N):
+        few[n] = x[i]
+        n += low < x[i] <= high
+    for i in range(1, n):
+        value, j = few[i], i
+        while j > 0 and few[j - 1] > value:
+            few[j] = few[j - 1]
+            j -= 1
+        few[j] = value
+    if upper - below < n:
+        return 0.5 * few[lower - below] + 0.5 * few[upper - below]
+    after = np.inf  # the upper one is the next sample after the interval
+    for value in x:
+        if high < value < after:
+            after = value
+    return 0.5 * few[lower - below] + 0.5 * after
+
+
+@kernel
+def _features(windows: Array, out: Array) -> int:
+    """`features` of ``windows`` (M, N) into ``out`` (M, 24).
+
+    Returns:
+        The first window with a value that is refused, where it ends; -1 where there is none.
+    """
     M, N = windows.shape
     middle = 0.5 * (N - 1)
     time_square = N * (N * N - 1.0) / 12.0  # sum of (i - middle)^2
@@ -143,8 +151,6 @@ def _features(windows: Array, out: Array) -> None:
     residual = np.empty(N)
     magnitude = np.empty(N)
     few = np.empty(N)
-    bins = np.empty(N, np.uint8)
-    counts = np.empty(_BINS, np.int64)
     for m in range(M):
         x = windows[m]
         f = out[m]
@@ -162,6 +168,8 @@ def _features(windows: Array, out: Array) -> None:
             runner_up = a if a < a_max else a_max
             a_second = runner_up if runner_up > a_second else a_second
             a_max = a if a > a_max else a_max
+        if not (a_max <= _HUGE and sum_a < np.inf):  # a NaN is in the sum only
+            return m
         x_mean = sum_x / N
         a_mean = sum_a / N
 
@@ -217,7 +225,7 @@ def _features(windows: Array, out: Array) -> None:
         if r_std > tolerance:
             f[0] = r_min
             f[1] = r_max
-            f[2] = _median(residual, r_min, r_max, bins, counts, few)
+            f[2] = _median(residual, r_min, r_max, few)
             f[3] = r_std
             f[5] = N * r_4 / (r_2 * r_2)
             f[6] = r_3 / (r_2 * np.sqrt(r_2 / N))
@@ -227,7 +235,7 @@ def _features(windows: Array, out: Array) -> None:
         if d_std > tolerance:
             f[8] = d_min / d_std
             f[9] = d_max / d_std
-            f[10] = _median(deviation, d_min, d_max, bins, counts, few) / d_std
+            f[10] = _median(deviation, d_min, d_max, few) / d_std
             f[11] = 1.0
             f[13] = N * d_4 / (d_2 * d_2)
             f[14] = d_3 / (d_2 * np.sqrt(d_2 / N))
@@ -235,7 +243,7 @@ def _features(windows: Array, out: Array) -> None:
 
         f[16] = a_min
         f[17] = a_max
-        f[18] = _median(magnitude, a_min, a_max, bins, counts, few)
+        f[18] = _median(magnitude, a_min, a_max, few)
         f[20] = a_mean + b_mean
         f[23] = a_second
         b_std = np.sqrt(b_2 / (N - 1))
@@ -243,3 +251,4 @@ def _features(windows: Array, out: Array) -> None:
             f[19] = b_std
             f[21] = N * b_4 / (b_2 * b_2)
             f[22] = b_3 / (b_2 * np.sqrt(b_2 / N))
+    return -1

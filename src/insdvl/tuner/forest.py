@@ -93,14 +93,17 @@ class Forest:
         if n_found != roots.size or not np.array_equal(found, roots):
             raise ForestError(f"the nodes are not the {roots.size} trees that roots names")
         self._roots = roots
-        # One record per node, so that a step of a walk touches one line of memory.
+        # One record per node, so that a step touches one line of memory. A leaf leads to itself.
+        index = np.arange(feature.size, dtype=np.int32)
         self._nodes = np.zeros(
-            feature.size, [("value", "f8"), ("threshold", "f4"), ("feature", "i4"), ("right", "i4")]
+            feature.size, [("threshold", "f4"), ("feature", "i4"), ("left", "i4"), ("right", "i4")]
         )
-        self._nodes["feature"] = feature
-        self._nodes["right"] = right
         self._nodes["threshold"][~leaf] = threshold
-        self._nodes["value"][leaf] = value
+        self._nodes["feature"] = np.where(leaf, 0, feature)
+        self._nodes["left"] = np.where(leaf, index, index + 1)
+        self._nodes["right"] = np.where(leaf, index, right)
+        self._values = np.zeros(feature.size)
+        self._values[leaf] = value
 
     @classmethod
     def load(cls, file: Path | str | BinaryIO) -> "Forest":
@@ -131,16 +134,15 @@ class Forest:
         Raises:
             ValueError: `X` has another shape, or is not finite in float32.
         """
-        X = np.asarray(X)
+        X = np.ascontiguousarray(X, dtype=np.float64)
         if X.ndim != 2 or X.shape[1] != self.n_features:
             raise ValueError(f"X must be (M, {self.n_features}), got {X.shape}")
-        with np.errstate(over="ignore"):
-            rows = np.ascontiguousarray(X, dtype=np.float32)
-        if not np.isfinite(rows).all():
-            m, f = np.argwhere(~np.isfinite(rows))[0]
-            raise ValueError(f"X must be finite in float32, got {X[m, f]} in row {m}, feature {f}")
-        out = np.zeros(rows.shape[0])
-        _predict(self._nodes, self._roots, rows, out)
+        out = np.empty(X.shape[0])
+        refused = _predict(self._nodes, self._values, self._roots, X, out)
+        if refused >= 0:
+            raise ValueError(
+                f"X must be finite in float32, got {X[refused].tolist()} in row {refused}"
+            )
         return out
 
 
@@ -189,14 +191,38 @@ def _right_children(
 
 @kernel
 def _predict(
-    nodes: NDArray[np.void], roots: NDArray[np.int32], rows: NDArray[np.float32], out: Array
-) -> None:
-    """Mean over the trees of the leaf that each of ``rows`` (M, F) reaches, into ``out`` (M,)."""
-    for root in roots:
-        for m in range(rows.shape[0]):
-            i = root
-            while nodes[i].feature >= 0:
-                i = i + 1 if rows[m, nodes[i].feature] <= nodes[i].threshold else nodes[i].right
-            out[m] += nodes[i].value
-    for m in range(out.size):
-        out[m] /= roots.size
+    nodes: NDArray[np.void],
+    values: Array,
+    roots: NDArray[np.int32],
+    X: Array,
+    out: Array,
+) -> int:
+    """Mean over the trees of the leaf that each row of ``X`` (M, F) reaches, into ``out`` (M,).
+
+    A row takes one step down all trees at a time: the processor waits for the memory of many
+    nodes at once, instead of one after the other.
+
+    Returns:
+        The first row that is not finite in float32, where it ends; -1 where there is none.
+    """
+    at = np.empty(roots.size, np.int64)
+    row = np.empty(X.shape[1], np.float32)
+    for m in range(X.shape[0]):
+        for f in range(row.size):
+            row[f] = X[m, f]
+            if not np.isfinite(row[f]):
+                return m
+        at[:] = roots
+        moving = True
+        while moving:
+            moving = False
+            for t in range(roots.size):
+                node = nodes[at[t]]
+                child = node.left if row[node.feature] <= node.threshold else node.right
+                moving |= child != at[t]
+                at[t] = child
+        total = 0.0
+        for t in range(roots.size):
+            total += values[at[t]]
+        out[m] = total / roots.size
+    return -1
