@@ -216,6 +216,7 @@ class FilterNode(InsdvlNode[FilterParameters]):
     # Diagnostics
 
     def health(self) -> Health:
+        """Updates, NIS, Q and its age, IMU rate, latency and the fold's counters."""
         health = Health()
         health.values["DVL updates accepted"] = self._updates["accepted"]
         health.values["DVL updates rejected"] = self._updates["rejected"]

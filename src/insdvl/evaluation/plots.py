@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from insdvl.evaluation.metrics import Track
@@ -65,23 +66,25 @@ def mission(
     figure = Figure(figsize=(15, 9.5), layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(title, fontsize=14)
-    grid = figure.add_gridspec(6, 2, width_ratios=[1.0, 1.35])
+    left, right = figure.add_gridspec(1, 2, width_ratios=[1.0, 1.35])
+    two = left.subgridspec(2, 1, height_ratios=[2.2, 1.0])
+    five = right.subgridspec(5, 1)
     thin = slice(None, None, max(1, len(t) // _MOST_POINTS))
 
-    _draw_track(figure.add_subplot(grid[0:4, 0]), truth, results, thin)
-    _draw_position_error(figure.add_subplot(grid[4:6, 0]), t, truth, results, thin)
-    rows = [figure.add_subplot(grid[k, 1]) for k in range(3)]
+    _draw_track(figure.add_subplot(two[0]), truth, results, thin)
+    _draw_position_error(figure.add_subplot(two[1]), t, truth, results, thin)
+    rows = [figure.add_subplot(five[k]) for k in range(3)]
     for axis, (axes, name) in enumerate(zip(rows, ("forward", "left", "up"), strict=True)):
         _draw_velocity_error(axes, axis, t, truth, results, thin)
         axes.set_ylabel(f"{name} [m/s]")
         axes.tick_params(labelbottom=False)
     rows[0].set_title("body velocity error, and 3 sigma (dashed)", fontsize=10, loc="left")
-    rows[0].legend(loc="upper right", ncols=len(results), fontsize=8)
-    force, rate = figure.add_subplot(grid[3:5, 1]), figure.add_subplot(grid[5, 1])
+    _legend_above(rows[0])
+    force, rate = figure.add_subplot(five[3]), figure.add_subplot(five[4])
     _draw_noise(force, noises, slice(0, 3), "sigma of f [m/s$^2$]")
     _draw_noise(rate, noises, slice(3, 6), "sigma of w [rad/s]")
-    force.set_title("noise per IMU sample: true (thin) and learned", fontsize=10, loc="left")
-    force.legend(loc="upper right", ncols=3, fontsize=8)
+    force.set_title("noise per IMU sample", fontsize=10, loc="left")
+    _legend_above(force)
     force.tick_params(labelbottom=False)
     for axes in (*rows, force, rate):
         axes.set_xlim(t[0], t[-1])
@@ -91,6 +94,10 @@ def mission(
         for side in ("top", "right"):
             axes.spines[side].set_visible(False)
     figure.savefig(path, dpi=110)
+
+
+def _legend_above(axes: Axes) -> None:
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=6, fontsize=8, frameon=False)
 
 
 def _draw_track(axes: Axes, truth: Track, results: list[Result], thin: slice) -> None:
@@ -143,4 +150,7 @@ def _draw_noise(axes: Axes, noises: list[Noise], channels: slice, label: str) ->
                 label=f"{name} {noise.label}",
             )
     axes.set_yscale("log")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.yaxis.set_minor_formatter(NullFormatter())
     axes.set_ylabel(label)
