@@ -1,6 +1,7 @@
 """What a build installs: executables, data files, and modules that are not the source folders."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -73,3 +74,10 @@ def test_data_files_are_installed(package: str) -> None:
 def test_discovery_profile_is_installed() -> None:
     share = Path(get_package_share_directory("ros_insdvl"))
     assert (share / "config" / "fastdds_localhost.xml").is_file()
+
+
+def test_readme_commands_exist() -> None:
+    readme = (ROOT / "README.md").read_text()
+    commands = re.findall(r"(?:ros2 run |\.venv/lib/)(\w+)[ /](\w+)", readme)
+    assert {package for package, _ in commands} == EXECUTABLES.keys()
+    assert [command for command in commands if command[1] not in EXECUTABLES[command[0]]] == []
