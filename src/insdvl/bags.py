@@ -179,6 +179,13 @@ def decode(raw: Raw) -> Recorded:
     return Recorded(raw.topic, raw.type, raw.time_ns, message)
 
 
+def encode(topic: str, time_ns: int, message: Any) -> Raw:
+    """A message of `typestore`, as the functions below make them, as its bytes."""
+    kind = message.__msgtype__
+    data = bytes(typestore().serialize_cdr(message, kind, little_endian=True))
+    return Raw(topic, kind, time_ns, data)
+
+
 @final
 class BagReader:
     """An open recording; a context manager.
@@ -400,16 +407,6 @@ class BagWriter:
             self._writer.write(connection, raw.time_ns, raw.data)
         except (OSError, sqlite3.Error) as error:
             raise BagError(f"cannot write recording {self.path}: {error}") from error
-
-    def write_message(self, topic: str, time_ns: int, message: Any) -> None:
-        """Append a message of `typestore`, as the functions below make them.
-
-        Raises:
-            BagError: As `write`.
-        """
-        kind = message.__msgtype__
-        data = bytes(typestore().serialize_cdr(message, kind, little_endian=True))
-        self.write(Raw(topic, kind, time_ns, data))
 
     def close(self) -> None:
         """Complete the recording and give it its name.

@@ -125,9 +125,9 @@ class Declaration:
             raise self._wrong_type(value)
         if self.choices and value not in self.choices:
             raise self._out_of_range(value)
-        if isinstance(value, int | float) and not isinstance(value, bool):
-            if not self._allows(value):
-                raise self._out_of_range(value)
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        if number and not self._allows(value):
+            raise self._out_of_range(value)
         return value
 
     def _allows(self, value: float) -> bool:
@@ -203,6 +203,8 @@ def flatten(group: Any, prefix: str = "") -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class ImuParameters:
+    """The real IMU."""
+
     rate: float = parameter(
         100.0,
         "Nominal rate of the IMU; turns a variance per sample into a density.",
@@ -238,6 +240,8 @@ class ImuParameters:
 
 @dataclass(frozen=True)
 class DvlParameters:
+    """The real DVL and the error that is modelled of it."""
+
     mount: tuple[float, ...] = parameter(
         (0.0, 0.0, 0.0),
         "Rotation from DVL axes to base_link axes, as roll, pitch, yaw of the DVL in base_link.",
@@ -278,6 +282,8 @@ class DvlParameters:
 
 @dataclass(frozen=True)
 class GateParameters:
+    """Which DVL measurements are used."""
+
     enabled: bool = parameter(True, "Reject DVL measurements that fail the chi-square gate.")
     probability: float = parameter(
         0.999,
@@ -295,6 +301,8 @@ class GateParameters:
 
 @dataclass(frozen=True)
 class ProcessNoiseParameters:
+    """The process noise Q and where it comes from."""
+
     source: str = parameter(
         "constant",
         "Where Q comes from: the nominal values; the innovations; the process_noise topic; the "
@@ -343,6 +351,8 @@ class ProcessNoiseParameters:
 
 @dataclass(frozen=True)
 class InitialParameters:
+    """The state at the start and its uncertainty."""
+
     mode: str = parameter(
         "parameters",
         "How the filter starts: from these values at the first IMU stamp; from the first message "
@@ -394,6 +404,8 @@ class InitialParameters:
 
 @dataclass(frozen=True)
 class OriginParameters:
+    """Where on the Earth the origin of odom is."""
+
     source: str = parameter(
         "parameters",
         "Whether odom's origin on the Earth is given here or is the first fix on gps/fix.",
@@ -520,6 +532,8 @@ class ReplayParameters:
 
 @dataclass(frozen=True)
 class SimulatedNoiseParameters:
+    """White noise of the simulated IMU."""
+
     profile: str = parameter(
         "varying",
         "How the variances of the IMU's noise change: not at all (constant; constant-tableI is "
@@ -556,6 +570,8 @@ class SimulatedNoiseParameters:
 
 @dataclass(frozen=True)
 class SimulatedImuParameters:
+    """The simulated IMU but for its white noise."""
+
     rate: float = parameter(100.0, "Samples per second.", unit="Hz", low=1.0, high=10_000.0)
     accelerometer_bias_std: float = parameter(
         1e-3, "Turn-on bias of each axis, one sigma.", unit="m/s^2", low=0.0
@@ -573,6 +589,8 @@ class SimulatedImuParameters:
 
 @dataclass(frozen=True)
 class SimulatedDvlParameters:
+    """The simulated DVL."""
+
     rate: float = parameter(1.0, "Pings per second.", unit="Hz", low=0.01, high=100.0)
     mount: tuple[float, ...] = parameter(
         (0.0, 0.0, 0.0),
@@ -695,11 +713,18 @@ def is_ros_name(name: str) -> bool:
     return name.split(".")[0] in ROS_NAMES
 
 
-def load_section(path: Path, node: str, group: type[_Group]) -> _Group:
+def load_section(path: Path, node: str, group: type[_Group], *, required: bool = False) -> _Group:
     """A group from the sections of a ROS 2 parameter file that end in a node's name.
 
+    Args:
+        path: The file.
+        node: Name of the node.
+        group: Its parameters.
+        required: Whether there must be such a section; otherwise all defaults hold without one.
+
     Raises:
-        ParameterError: The file cannot be read or is no parameter file, or `build` refuses it.
+        ParameterError: The file cannot be read or is no parameter file, the section is missing, or
+            `build` refuses it.
     """
     try:
         document = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -708,8 +733,13 @@ def load_section(path: Path, node: str, group: type[_Group]) -> _Group:
     if not isinstance(document, dict):
         raise ParameterError(f"{path} is no ROS 2 parameter file: it has no sections")
     values: dict[str, Any] = {}
+    names = {section: str(section).rsplit("/", 1)[-1] for section in document}
+    if required and node not in names.values():
+        raise ParameterError(
+            f"{path} has no section '/**/{node}'; it has {', '.join(map(str, document))}"
+        )
     for section, body in document.items():
-        if str(section).rsplit("/", 1)[-1] != node:
+        if names[section] != node:
             continue
         given = body.get("ros__parameters") if isinstance(body, dict) else None
         if not isinstance(given, dict):

@@ -17,6 +17,7 @@ from insdvl.bags import (
     BagWriter,
     Raw,
     decode,
+    encode,
     imu_message,
     odometry_message,
     twist_message,
@@ -33,15 +34,15 @@ def write(path: Path, storage: str = "mcap", count: int = SIZE) -> None:
             stamp_ns = 1_700_000_000_000_000_000 + 10_000_000 * k
             f, w = rng.standard_normal((2, 3))
             Q = np.diag([1.0, 2.0, 3.0]) + 0.1
-            bag.write_message("/imu", stamp_ns + 5, imu_message(stamp_ns, "imu", f, w, Q, 2 * Q))
+            bag.write(encode("/imu", stamp_ns + 5, imu_message(stamp_ns, "imu", f, w, Q, 2 * Q)))
             if k % 10 == 0:
                 v = rng.standard_normal(3)
-                bag.write_message("/dvl", stamp_ns + 7, twist_message(stamp_ns, "dvl", v))
-                bag.write_message("/cov", stamp_ns + 7, twist_message(stamp_ns, "dvl", v, Q))
+                bag.write(encode("/dvl", stamp_ns + 7, twist_message(stamp_ns, "dvl", v)))
+                bag.write(encode("/cov", stamp_ns + 7, twist_message(stamp_ns, "dvl", v, Q)))
                 message = odometry_message(
                     stamp_ns, ("odom", "base_link"), v, np.array([0, 0, 0.6, 0.8]), f, w, np.eye(6)
                 )
-                bag.write_message("/odometry", stamp_ns + 9, message)
+                bag.write(encode("/odometry", stamp_ns + 9, message))
 
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
@@ -217,7 +218,7 @@ def test_an_existing_recording_is_never_overwritten(tmp_path: Path) -> None:
         BagWriter(tmp_path / "bag")
     late = tmp_path / "late"
     with pytest.raises(BagError, match="late exists already"), BagWriter(late) as bag:
-        bag.write_message("/dvl", 0, twist_message(0, "dvl", np.zeros(3)))
+        bag.write(encode("/dvl", 0, twist_message(0, "dvl", np.zeros(3))))
         late.mkdir()
     assert sorted(f.name for f in tmp_path.iterdir()) == ["bag", "late"]
     assert list(late.iterdir()) == []
@@ -227,12 +228,12 @@ def test_an_existing_recording_is_never_overwritten(tmp_path: Path) -> None:
 def test_a_recording_has_its_name_only_when_it_is_complete(tmp_path: Path) -> None:
     folder = tmp_path / "made" / "on" / "demand"
     with BagWriter(folder / "bag") as bag:
-        bag.write_message("/dvl", 0, twist_message(0, "dvl", np.zeros(3)))
+        bag.write(encode("/dvl", 0, twist_message(0, "dvl", np.zeros(3))))
         assert not (folder / "bag").exists()
     assert [f.name for f in folder.iterdir()] == ["bag"]
 
     with pytest.raises(RuntimeError, match="half way"), BagWriter(folder / "half") as bag:
-        bag.write_message("/dvl", 0, twist_message(0, "dvl", np.zeros(3)))
+        bag.write(encode("/dvl", 0, twist_message(0, "dvl", np.zeros(3))))
         raise RuntimeError("half way")
     assert [f.name for f in folder.iterdir()] == ["bag"]
 
@@ -244,9 +245,9 @@ def test_what_cannot_be_written_is_named(tmp_path: Path) -> None:
     with pytest.raises(BagError, match="storage is one of mcap, sqlite3, got 'tape'"):
         BagWriter(tmp_path / "bag", "tape")
     with BagWriter(tmp_path / "bag") as bag:
-        bag.write_message("/dvl", 0, twist_message(0, "dvl", np.zeros(3)))
+        bag.write(encode("/dvl", 0, twist_message(0, "dvl", np.zeros(3))))
         with pytest.raises(BagError, match=f"/dvl has type {TWIST}, cannot take {IMU}"):
-            bag.write_message("/dvl", 0, imu_message(0, "imu", np.zeros(3), np.zeros(3)))
+            bag.write(encode("/dvl", 0, imu_message(0, "imu", np.zeros(3), np.zeros(3))))
         with pytest.raises(BagError, match="our_msgs/msg/Own is no standard message type"):
             bag.write(Raw("/own", "our_msgs/msg/Own", 0, b""))
     with pytest.raises(ValueError, match="3 x 3 is expected, got 36"):

@@ -62,6 +62,26 @@ def inside_fraction(error: Array, sigma: Array, times: float = 3.0) -> float:
     return float(np.mean(np.abs(error) <= times * sigma))
 
 
+def normalised_innovations(innovation: Array, S: Array) -> Array:
+    """L^-1 nu (M, 3), with S = L L^T: independent and of unit variance when all is well.
+
+    Args:
+        innovation: (M, 3) nu.
+        S: (M, 3, 3) covariance of nu.
+    """
+    return np.linalg.solve(np.linalg.cholesky(S), innovation[..., None])[..., 0]
+
+
+def autocorrelation(z: Array, lags: int) -> list[float]:
+    """Autocorrelation of a sequence (M, m) at the lags 1, 2, ... up to lags < M.
+
+    rho_l = sum_k z_k . z_(k+l) / sum_k |z_k|^2. The mean is not taken out: what should be white has
+    none. Of white noise each is about +-1 / sqrt(m M).
+    """
+    power = float(np.sum(z**2))
+    return [float(np.sum(z[:-lag] * z[lag:])) / power for lag in range(1, lags + 1)]
+
+
 @dataclass(frozen=True)
 class Scores:
     """The error of one run over all of its stamps.

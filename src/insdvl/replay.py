@@ -1,0 +1,584 @@
+"""The command `insdvl replay`: the core filter over a recording, without ROS.
+
+The messages of a recording become the events that the filter node would make of them, in the
+recorded order, and fold into the state that the node reaches: the same to the bit.
+"""
+
+import argparse
+import json
+import math
+import os
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from insdvl import bags, messages
+from insdvl.bags import BagError, BagReader, BagWriter, Raw, Recorded, decode
+from insdvl.evaluation.metrics import (
+    Track,
+    autocorrelation,
+    inside_fraction,
+    normalised_innovations,
+    scores,
+)
+from insdvl.events import NS, Event
+from insdvl.fold import Fold
+from insdvl.frames import CONVENTIONS, NED
+from insdvl.messages import RejectedMessage
+from insdvl.odometry import Odometry, biases, odometry
+from insdvl.parameters import (
+    FilterParameters,
+    ParameterError,
+    ReplayParameters,
+    TunerParameters,
+    flatten,
+    load_section,
+)
+from insdvl.simulation.imu import white_noise
+from insdvl.simulation.noise import segments
+from insdvl.tuner.tuner import Tuner
+
+Array = NDArray[np.float64]
+
+#: Topic of each source of Q that listens to one.
+Q_TOPICS = {"external": "process_noise", "oracle": "ground_truth/process_noise"}
+TRUTH = "ground_truth/odometry"
+LAGS = 10
+
+
+# ---------------------------------------------------------------- recording
+
+
+def read(path: Path, parameters: ReplayParameters) -> list[Raw]:
+    """What is played of a recording, in the recorded order, on the topics of the nodes.
+
+    Raises:
+        BagError: The recording cannot be read, or lacks the IMU or the DVL.
+    """
+    with BagReader(path) as bag:
+        topics = bags.played(bag, parameters)
+        return [raw._replace(topic=topics[raw.topic]) for raw in bag.raw(topics)]
+
+
+@dataclass(frozen=True)
+class Injection:
+    """White noise for the IMU of a recording.
+
+    Each channel keeps a log-uniform variance for 15 to 45 s, as in the scenario ``varying``.
+
+    Attributes:
+        accelerometer: Smallest and largest variance [(m/s^2)^2].
+        gyroscope: Smallest and largest variance [(rad/s)^2].
+        seed: Of all that is random.
+    """
+
+    accelerometer: tuple[float, float]
+    gyroscope: tuple[float, float]
+    seed: int
+
+    def variances(self, stamps_ns: NDArray[np.int64], rng: np.random.Generator) -> Array:
+        """Variance (N, 6) of each sample, f x, y, z then w x, y, z."""
+        t = (stamps_ns - stamps_ns.min()) / NS
+        columns = [
+            segments(*limits)(float(t.max()) + 1.0, child).variance_at(t)[:, :3]
+            for limits, child in zip(
+                (self.accelerometer, self.gyroscope), rng.spawn(2), strict=True
+            )
+        ]
+        return np.concatenate(columns, axis=1)
+
+    def __call__(self, recording: Sequence[Raw]) -> list[Raw]:
+        """A recording whose IMU is noisier, with the true added variances as process noise.
+
+        Recorded process noise and the covariances in the IMU's messages no longer hold: they are
+        left out.
+        """
+        samples = [decode(raw).message for raw in recording if raw.topic == "imu/data_raw"]
+        stamps_ns = np.array([messages.stamp_ns(sample.header) for sample in samples])
+        variance_rng, noise_rng = np.random.default_rng(self.seed).spawn(2)
+        q = self.variances(stamps_ns, variance_rng)
+        noise = white_noise(q, noise_rng)
+        noisy: list[Raw] = []
+        told_ns = k = 0
+        for raw in recording:
+            if raw.topic in Q_TOPICS.values():
+                continue
+            if raw.topic != "imu/data_raw":
+                noisy.append(raw)
+                continue
+            header = samples[k].header
+            begin_ns = int(stamps_ns[max(k - 1, 0)])  # a variance holds from its first interval on
+            changed = k == 0 or (q[k] != q[k - 1]).any()
+            if changed or begin_ns - told_ns >= NS:
+                told_ns = begin_ns
+                Q_f, Q_w = np.diag(q[k, :3]), np.diag(q[k, 3:])
+                message = bags.imu_message(
+                    begin_ns, header.frame_id, np.zeros(3), np.zeros(3), Q_f, Q_w
+                )
+                noisy.append(bags.encode(Q_TOPICS["oracle"], raw.time_ns, message))
+            f = np.array(samples[k].linear_acceleration) + noise[k, :3]
+            w = np.array(samples[k].angular_velocity) + noise[k, 3:]
+            message = bags.imu_message(int(stamps_ns[k]), header.frame_id, f, w)
+            noisy.append(bags.encode(raw.topic, raw.time_ns, message))
+            k += 1
+        return noisy
+
+
+def learn(recording: Sequence[Raw], parameters: TunerParameters) -> list[Raw]:
+    """A recording with the process noise that the tuner node would publish on it.
+
+    Raises:
+        ModelError: The model cannot be used.
+    """
+    tuner = Tuner(parameters)
+    learned: list[Raw] = []
+    for raw in recording:
+        learned.append(raw)
+        if raw.topic != "imu/data_raw":
+            continue
+        message = decode(raw).message
+        try:
+            sample = messages.imu(message, NED)  # the message's own axes, as the node does
+        except RejectedMessage:
+            continue
+        tuned = tuner.add(sample.stamp_ns, np.concatenate([sample.f_b, sample.w_ib_b]))
+        if tuned is not None:
+            q = tuned.variances
+            frame, Q_f, Q_w = message.header.frame_id, np.diag(q[:3]), np.diag(q[3:])
+            republished = bags.imu_message(
+                tuned.stamp_ns, frame, sample.f_b, sample.w_ib_b, Q_f, Q_w
+            )
+            learned.append(bags.encode(Q_TOPICS["external"], raw.time_ns, republished))
+    return learned
+
+
+# ---------------------------------------------------------------- filter
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """A recording, folded.
+
+    Attributes:
+        fold: With the states at all IMU stamps.
+        rejected: Messages that were not used, by ``topic: reason``.
+    """
+
+    fold: Fold
+    rejected: Counter[str]
+
+    @property
+    def initialised(self) -> NDArray[np.intp]:
+        """Indices of the initialised states."""
+        return np.flatnonzero(self.fold.states["initialised"])
+
+
+def fold_recording(recording: Sequence[Raw], parameters: FilterParameters) -> Replayed:
+    """All messages of a recording through the filter, as its node takes them.
+
+    Raises:
+        BagError: What the parameters need is not in the recording, or a message is damaged.
+    """
+    _require_topics(recording, parameters)
+    convention = CONVENTIONS[parameters.frame_convention]
+    source = parameters.process_noise.source
+    initial_topic = parameters.initial.topic.lstrip("/")
+    first_initial_ns: int | None = None
+
+    def events(recorded: Recorded) -> Iterator[Event]:
+        nonlocal first_initial_ns
+        topic, message = recorded.topic, recorded.message
+        if topic == "imu/data_raw":
+            yield messages.imu(message, convention)
+            if source == "message":
+                yield messages.process_noise(message, convention)
+        elif topic in ("dvl/velocity", "dvl/velocity_cov"):
+            yield messages.dvl(message, convention)
+        elif topic == Q_TOPICS.get(source):
+            yield messages.process_noise(message, convention)
+        elif topic == "gps/fix" and parameters.origin.source == "topic":
+            yield messages.origin(message)
+        elif topic == "set_odometry":
+            yield messages.initial(message, convention, once=False)
+        if topic == initial_topic and parameters.initial.mode == "topic":
+            event = messages.initial(message, convention, once=True)
+            # One with an earlier stamp may come later and then is the first; after max_delay none.
+            if first_initial_ns is None:
+                first_initial_ns = event.stamp_ns
+            if event.stamp_ns <= first_initial_ns + parameters.max_delay * NS:
+                yield event
+
+    samples = sum(raw.topic == "imu/data_raw" for raw in recording)
+    fold = Fold(parameters, capacity=samples + 1)
+    rejected: Counter[str] = Counter()
+    used = {"imu/data_raw", "dvl/velocity", "dvl/velocity_cov", "set_odometry", "gps/fix"}
+    used |= {initial_topic, Q_TOPICS.get(source, "")}
+    for raw in recording:
+        if raw.topic not in used:
+            continue
+        try:
+            for event in events(decode(raw)):
+                reason = fold.add(event)
+                if reason is not None:
+                    rejected[f"{raw.topic}: {reason}"] += 1
+        except RejectedMessage as rejection:
+            rejected[f"{raw.topic}: {rejection.reason}"] += 1
+    return Replayed(fold, rejected)
+
+
+def _require_topics(recording: Sequence[Raw], parameters: FilterParameters) -> None:
+    needed = {}
+    if parameters.initial.mode == "topic":
+        needed[parameters.initial.topic.lstrip("/")] = "initial.mode is 'topic'"
+    if parameters.initial.mode == "set_odometry":
+        needed["set_odometry"] = "initial.mode is 'set_odometry'"
+    if parameters.origin.source == "topic":
+        needed["gps/fix"] = "origin.source is 'topic'"
+    if parameters.process_noise.source in Q_TOPICS:
+        needed[Q_TOPICS[parameters.process_noise.source]] = (
+            f"process_noise.source is '{parameters.process_noise.source}'"
+        )
+    there = {raw.topic for raw in recording}
+    for topic, reason in needed.items():
+        if topic not in there:
+            raise BagError(f"{reason}, but nothing in the recording is played on {topic}")
+
+
+# ---------------------------------------------------------------- scores
+
+
+def states_at(replayed: Replayed, stamps_ns: NDArray[np.int64]) -> tuple[Track, Array]:
+    """The result at some stamps, in the axes of the stream, and the sigmas (M, 3) of v_b.
+
+    At a stamp between two of the IMU: position, velocity and sigma are interpolated linearly, the
+    attitude along the shortest rotation.
+
+    Args:
+        replayed: The result.
+        stamps_ns: (M,) stamps from the first to the last initialised state.
+    """
+    fold = replayed.fold
+    times_ns = fold.states["time_ns"]
+    after = np.searchsorted(times_ns, stamps_ns)
+    exact = times_ns[after] == stamps_ns
+    before = np.where(exact, after, after - 1)
+    needed, rows = np.unique(np.concatenate([before, after]), return_inverse=True)
+    table = [odometry(fold.filter, fold.states, int(k)) for k in needed]
+    a, b = rows[: len(stamps_ns)], rows[len(stamps_ns) :]
+    span = np.where(exact, 1, times_ns[after] - times_ns[before])
+    share = ((stamps_ns - times_ns[before]) / span)[:, None]
+
+    def between(values: Callable[[Odometry], Array]) -> Array:
+        column = np.array([values(entry) for entry in table])
+        return np.where(exact[:, None], column[b], column[a] + share * (column[b] - column[a]))
+
+    attitudes = Rotation.from_quat(np.array([entry.quaternion_xyzw for entry in table]))
+    turn = (attitudes[a].inv() * attitudes[b]).as_rotvec()
+    C = (attitudes[a] * Rotation.from_rotvec(share * turn)).as_matrix()
+    track = Track(C, between(lambda o: o.twist_linear), between(lambda o: o.position))
+    return track, between(lambda o: np.sqrt(np.diag(o.twist_covariance)[:3]))
+
+
+def truth_of(recording: Sequence[Raw]) -> tuple[NDArray[np.int64], Track]:
+    """Stamps (M,) and states of the ground truth, in the axes of the stream."""
+    events = []
+    for raw in recording:
+        if raw.topic == TRUTH:
+            try:
+                events.append(messages.initial(decode(raw).message, NED, once=True))
+            except RejectedMessage:  # counted where it is folded; it cannot be compared with
+                continue
+    return np.array([event.stamp_ns for event in events], dtype=np.int64), Track(
+        np.array([event.C_n_b for event in events]).reshape(-1, 3, 3),
+        np.array([event.v for event in events]).reshape(-1, 3),
+        np.array([event.p_n for event in events]).reshape(-1, 3),
+    )
+
+
+def report(recording: Sequence[Raw], replayed: Replayed) -> dict[str, Any]:
+    """The numbers of the command's JSON; None where the recording has nothing to compare with.
+
+    ``velocity_rmse`` is of the vector in navigation axes, at the stamps of the ground truth.
+    ``nis_mean`` and the autocorrelation are over the accepted DVL updates.
+    """
+    fold = replayed.fold
+    updates = fold.updates
+    accepted = [update.report for update in updates if update.report.accepted]
+    reasons = Counter(u.report.reason for u in updates if not u.report.accepted)
+    for key, count in replayed.rejected.items():
+        topic, reason = key.split(": ")
+        if topic.startswith("dvl/"):
+            reasons[reason] += count
+    nu = np.array([r.innovation for r in accepted]).reshape(-1, 3)
+    S = np.array([r.S for r in accepted]).reshape(-1, 3, 3)
+    known = replayed.initialised
+    times_ns = fold.states["time_ns"][known]
+    result: dict[str, Any] = {
+        "velocity_rmse": None,
+        "body_velocity_rmse": None,
+        "velocity_smae": None,
+        "position_rmse_horizontal": None,
+        "position_drift_percent": None,
+        "heading_rmse_deg": None,
+        "tilt_rmse_deg": None,
+        "body_velocity_inside_3_sigma": None,
+        "reference_stamps": 0,
+        "nis_mean": float(np.mean([r.nis for r in accepted])) if accepted else None,
+        "dvl_accepted": len(accepted),
+        "dvl_rejected": sum(reasons.values()),
+        "dvl_rejected_by_reason": dict(reasons),
+        "innovation_autocorrelation": (
+            autocorrelation(normalised_innovations(nu, S), LAGS) if len(accepted) > LAGS else None
+        ),
+        "imu_samples": len(fold.states),
+        "first_stamp": times_ns[0] / NS if known.size else None,
+        "duration": float(times_ns[-1] - times_ns[0]) / NS if known.size else 0.0,
+        "counts": fold.counts,
+        "rejected": dict(replayed.rejected),
+    }
+    stamps_ns, truth = truth_of(recording)
+    if not known.size:
+        return result
+    inside = (stamps_ns >= times_ns[0]) & (stamps_ns <= times_ns[-1])
+    result["reference_stamps"] = int(inside.sum())
+    if inside.sum() < 2:
+        return result
+    truth = Track(truth.C_n_b[inside], truth.v_b[inside], truth.p_n[inside])
+    track, sigma = states_at(replayed, stamps_ns[inside])
+    errors = scores(track, truth)
+    result |= {
+        "velocity_rmse": errors.srmse,
+        "body_velocity_rmse": errors.body_velocity_rmse,
+        "velocity_smae": errors.smae,
+        "position_rmse_horizontal": errors.position_rmse_horizontal,
+        "position_drift_percent": errors.position_drift_percent,
+        "heading_rmse_deg": errors.heading_rmse_deg,
+        "tilt_rmse_deg": errors.tilt_rmse_deg,
+        "body_velocity_inside_3_sigma": inside_fraction(truth.v_b - track.v_b, sigma),
+    }
+    return {name: _finite(value) for name, value in result.items()}
+
+
+def _finite(value: Any) -> Any:
+    """JSON knows no nan."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+# ---------------------------------------------------------------- files
+
+
+def write_bag(
+    bag: BagWriter, recording: Sequence[Raw], replayed: Replayed, parameters: FilterParameters
+) -> None:
+    """What was folded, and all that the filter node would publish of it.
+
+    Raises:
+        BagError: The disk refuses.
+    """
+    for raw in recording:
+        bag.write(raw._replace(topic="/" + raw.topic))
+    fold, axes = replayed.fold, CONVENTIONS[parameters.frame_convention].body
+    frames = parameters.odom_frame, parameters.base_frame
+    frame_ids = {raw.topic: decode(raw).message.header.frame_id for raw in _firsts(recording)}
+    dvl_frame = frame_ids.get("dvl/velocity", frame_ids.get("dvl/velocity_cov", ""))
+    second = None
+    for k in replayed.initialised:
+        state = odometry(fold.filter, fold.states, int(k))
+        message = bags.odometry_message(
+            state.stamp_ns,
+            frames,
+            state.position,
+            state.quaternion_xyzw,
+            state.twist_linear,
+            state.twist_angular,
+            state.pose_covariance,
+            state.twist_covariance,
+        )
+        bag.write(bags.encode("/odometry/filtered", state.stamp_ns, message))
+        if state.stamp_ns // NS != second:
+            second = state.stamp_ns // NS
+            bias = biases(fold.filter, fold.states[k])
+            message = bags.imu_message(
+                bias.stamp_ns,
+                frame_ids["imu/data_raw"],
+                bias.accelerometer,
+                bias.gyroscope,
+                bias.accelerometer_covariance,
+                bias.gyroscope_covariance,
+            )
+            bag.write(bags.encode("/imu/bias", bias.stamp_ns, message))
+    for update in fold.updates:
+        message = bags.twist_message(
+            update.stamp_ns,
+            dvl_frame,
+            axes @ update.report.innovation,
+            axes @ update.report.S @ axes.T,
+        )
+        bag.write(bags.encode("/dvl/innovation", update.stamp_ns, message))
+
+
+def _firsts(recording: Sequence[Raw]) -> list[Raw]:
+    return list({raw.topic: raw for raw in reversed(recording)}.values())
+
+
+def write_json(path: Path, document: dict[str, Any]) -> None:
+    """Write a document; the file is complete or is not there.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    text = json.dumps(document, indent=2, allow_nan=False) + "\n"
+    with tempfile.NamedTemporaryFile(
+        "w", dir=path.parent, prefix=f".{path.name}.", delete=False
+    ) as file:
+        try:
+            file.write(text)
+            file.flush()
+            os.chmod(file.name, 0o644)
+            os.replace(file.name, path)
+        except BaseException:
+            os.unlink(file.name)
+            raise
+
+
+# ---------------------------------------------------------------- command
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's options."""
+    parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2: a folder, .mcap or .db3")
+    parser.add_argument(
+        "--config",
+        type=Path,
+        required=True,
+        metavar="FILE",
+        help="YAML of the nodes; its sections for filter, tuner and replay are used",
+    )
+    parser.add_argument(
+        "--json", type=Path, required=True, metavar="FILE", help="where the numbers go"
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="BAG", help="record inputs and outputs in a new rosbag2"
+    )
+    parser.add_argument(
+        "--inject-noise",
+        metavar="ACC_LO,ACC_HI,GYR_LO,GYR_HI",
+        help="add white noise to the IMU; per channel a log-uniform variance between these limits, "
+        "(m/s^2)^2 and (rad/s)^2, for 15 to 45 s each; source 'oracle' knows them",
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of the injected noise (default: 0)")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Replay; the exit code is 2 where the input is refused, and then nothing is written."""
+    try:
+        _replay(arguments)
+    except (ValueError, OSError) as error:
+        print(f"insdvl replay: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _replay(arguments: argparse.Namespace) -> None:
+    _check_places(arguments)
+    filter_ = load_section(arguments.config, "insdvl_filter", FilterParameters, required=True)
+    tuner = load_section(arguments.config, "insdvl_tuner", TunerParameters)
+    replay = load_section(arguments.config, "insdvl_replay", ReplayParameters)
+    injection = _injection(arguments)
+
+    recording = read(arguments.bag, replay)
+    if injection is not None:
+        recording = injection(recording)
+    source = q_from = filter_.process_noise.source
+    if source == "external":
+        q_from = "external, recorded"
+        if Q_TOPICS["external"] not in {raw.topic for raw in recording}:
+            if not tuner.enabled:
+                raise ParameterError(
+                    "process_noise.source is 'external', but the recording has no process noise "
+                    "and the tuner is not enabled"
+                )
+            recording, q_from = learn(recording, tuner), f"external, learned by {tuner.model}"
+    replayed = fold_recording(recording, filter_)
+    if not replayed.initialised.size:
+        raise BagError(f"the filter was never initialised (initial.mode {filter_.initial.mode!r})")
+    document = report(recording, replayed)
+    document |= {
+        "bag": str(arguments.bag),
+        "process_noise": q_from,
+        "injected_noise": asdict(injection) if injection else None,
+        "parameters": {"insdvl_filter": flatten(filter_), "insdvl_tuner": flatten(tuner)},
+    }
+    if arguments.out is None:
+        write_json(arguments.json, document)
+    else:
+        with BagWriter(arguments.out) as bag:
+            write_bag(bag, recording, replayed, filter_)
+            write_json(arguments.json, document)
+    _print_table(document)
+
+
+def _check_places(arguments: argparse.Namespace) -> None:
+    """What takes long comes first: whether the results can be written is tried before it."""
+    if not arguments.json.parent.is_dir():
+        raise ValueError(f"--json {arguments.json}: {arguments.json.parent} is no folder")
+    if arguments.json.is_dir():
+        raise ValueError(f"--json {arguments.json}: it is a folder")
+    try:
+        with tempfile.TemporaryFile(dir=arguments.json.parent):
+            pass
+    except OSError as error:
+        raise ValueError(f"--json {arguments.json}: {error.strerror or error}") from error
+    if arguments.out is not None and arguments.out.exists():
+        raise BagError(f"--out {arguments.out} exists already and is not overwritten")
+
+
+def _injection(arguments: argparse.Namespace) -> Injection | None:
+    if arguments.inject_noise is None:
+        return None
+    text = arguments.inject_noise
+    try:
+        limits = [float(part) for part in text.split(",")]
+    except ValueError:
+        limits = []
+    ordered = len(limits) == 4 and 0 < limits[0] <= limits[1] and 0 < limits[2] <= limits[3]
+    if not ordered or not all(math.isfinite(limit) for limit in limits):
+        raise ValueError(
+            "--inject-noise must be four numbers ACC_LO,ACC_HI,GYR_LO,GYR_HI with "
+            f"0 < LO <= HI, got {text!r}"
+        )
+    if arguments.seed < 0:
+        raise ValueError(f"--seed must be >= 0, got {arguments.seed}")
+    return Injection((limits[0], limits[1]), (limits[2], limits[3]), arguments.seed)
+
+
+def _print_table(document: dict[str, Any]) -> None:
+    rows = (
+        ("velocity RMSE, navigation axes", "velocity_rmse", "m/s"),
+        ("velocity RMSE, body axes", "body_velocity_rmse", "m/s"),
+        ("body velocity inside 3 sigma", "body_velocity_inside_3_sigma", ""),
+        ("position RMSE, horizontal", "position_rmse_horizontal", "m"),
+        ("heading RMSE", "heading_rmse_deg", "deg"),
+        ("tilt RMSE", "tilt_rmse_deg", "deg"),
+        ("reference stamps", "reference_stamps", ""),
+        ("mean NIS (3 dof)", "nis_mean", ""),
+        ("DVL accepted", "dvl_accepted", ""),
+        ("DVL rejected", "dvl_rejected", ""),
+        ("process noise", "process_noise", ""),
+    )
+    for text, name, unit in rows:
+        value = document[name]
+        shown = "no reference" if value is None else value
+        if isinstance(value, float):
+            shown = f"{value:.4g}"
+        print(f"{text:32} {shown} {unit}".rstrip())
+    for key, count in document["rejected"].items():
+        print(f"{'not used: ' + key:32} {count}")
