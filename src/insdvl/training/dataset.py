@@ -2,9 +2,9 @@
 
 Four trajectories of 400 s at 100 Hz, each recorded with 15 noise variances, equal on all six
 channels and in the square of the channel's unit; 200 windows of 2 s in each channel: 72,000
-examples. The variances are 15 equally spaced values from 0.001 to 0.05. (The text gives the range
-and the number. Equal spacing is the reading that fits it: the error of the best possible estimator
-on that grid, 2.6e-3, lies just below the published accuracy.)
+examples. The variances are 15 equally spaced values from 0.001 to 0.05: the text gives the range
+and the number, and equal spacing is the plain reading. The best possible estimator, which knows
+the grid, has an RMSE of 2.6e-3 there; with equal ratios in place of equal steps it would be 1.7e-3.
 
 Every recording has its own random stream, made from the seed, the trajectory and the variance, so
 that the data are the same on any number of workers.
