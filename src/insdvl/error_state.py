@@ -160,8 +160,9 @@ def input_noise(
     for i in range(3):
         Q_d[_F + i, _F + i] = dt * c.eps_f
         Q_d[_W + i, _W + i] = dt * c.eps_w
+    # Halved around the decay by `propagate`, this leaves the stationary variance as it is.
     for i in range(_D, n):
-        Q_d[i, i] = c.bias_variance * (1.0 - np.exp(-2.0 * c.bias_rate * dt))
+        Q_d[i, i] = 2.0 * c.bias_variance * np.tanh(c.bias_rate * dt)
 
 
 @kernel

@@ -1,0 +1,253 @@
+"""A dense filter in plain numpy and scipy: the same equations as insdvl, told in another way.
+
+Nothing here is taken from insdvl. Rotations are scipy's, their means come from quadrature, and the
+matrices of the invariant error from those of the plain one by the change of coordinates
+
+    x_invariant = T x_ned,  T = [[I, [v x]], [0, I]]  in velocity and attitude,
+
+so F = T F_ned T^-1 + T' T^-1, G = T G_ned, H = H_ned T^-1.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+V, A, F, W, P, D = (slice(i, i + 3) for i in range(0, 18, 3))
+I3 = np.eye(3)
+NS = 10**9
+
+# Quadrature over [0, 1], exact to rounding for the mean of a rotation through a few degrees.
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(5)
+NODES, WEIGHTS = (NODES + 1) / 2, WEIGHTS / 2
+
+
+def skew(a):
+    return np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])
+
+
+def exp(phi):
+    """exp([phi x]) of rotation vectors (..., 3)."""
+    return Rotation.from_rotvec(phi).as_matrix()
+
+
+def turned(phi):
+    """exp([phi x]) and its mean over the turn, both from one matrix exponential."""
+    block = np.zeros((6, 6))
+    block[:3, :3], block[:3, 3:] = skew(phi), I3
+    result = expm(block)
+    return result[:3, :3], result[:3, 3:]
+
+
+def wgs84(lat, h):
+    """Gravity, Earth rate and the matrix of the transport rate, in NED."""
+    a, f, rate, mu = 6378137.0, 1 / 298.257223563, 7.292115e-5, 3.986004418e14
+    e2, sine2 = 2 * f - f * f, np.sin(lat) ** 2
+    east = a / np.sqrt(1 - e2 * sine2)
+    north = a * (1 - e2) / np.sqrt(1 - e2 * sine2) ** 3
+    g_0 = 9.7803253359 * (1 + 0.00193185265241 * sine2) / np.sqrt(1 - e2 * sine2)
+    m = rate**2 * a**3 * (1 - f) / mu
+    g = g_0 * (1 - 2 * h / a * (1 + f * (1 - 2 * sine2) + m) + 3 * (h / a) ** 2)
+    w_ie = rate * np.array([np.cos(lat), 0.0, -np.sin(lat)])
+    W_v = np.zeros((3, 3))
+    W_v[0, 1], W_v[1, 0], W_v[2, 1] = 1 / (east + h), -1 / (north + h), -np.tan(lat) / (east + h)
+    return np.array([0.0, 0.0, g]), w_ie, W_v, north
+
+
+@dataclass
+class DenseFilter:
+    """Predict and update with everything written out.
+
+    Frames are NED and forward-right-down; Q is in base_link axes, a density.
+    """
+
+    invariant: bool
+    lat_0: float
+    h_0: float
+    C: np.ndarray
+    v: np.ndarray
+    p: np.ndarray
+    P: np.ndarray
+    eps_f: float = 0.0
+    eps_w: float = 0.0
+    C_b_d: np.ndarray = field(default_factory=lambda: np.eye(3))
+    l_b: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    dvl_std: float = 0.0
+    dvl_time_constant: float = 1.0
+    gate_probability: float = 1.0
+    exact: bool = False  # Phi and Q_d from matrix exponentials, not of second order
+    b_f: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    b_w: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    b_d: np.ndarray = field(default_factory=lambda: np.zeros(3))
+
+    @property
+    def n(self):
+        return len(self.P)
+
+    def earth(self):
+        *_, north = wgs84(self.lat_0, self.h_0)
+        return wgs84(self.lat_0 + self.p[0] / (north + self.h_0), self.h_0 - self.p[2])[:3]
+
+    def coordinates(self, v):
+        """T: from plain errors to those of the model."""
+        T = np.eye(self.n)
+        if self.invariant:
+            T[V, A] = skew(v)
+        return T
+
+    def predict(self, f_b, w_ib_b, dt, Q_f, Q_w):
+        """A step under constant specific force and turn rate; Q_f, Q_w are densities."""
+        f_b, w_ib_b = f_b - self.b_f, w_ib_b - self.b_w
+        g, w_ie, W_v = self.earth()
+        start = w_ie + W_v @ self.v
+        mean_turn = np.tensordot(WEIGHTS, exp(NODES[:, None] * w_ib_b * dt), 1)
+        C_mid = exp(-start * dt / 2) @ self.C @ mean_turn
+        f_n = C_mid @ f_b
+
+        def acceleration(v):
+            return f_n + g - np.cross(2 * w_ie + W_v @ v, v)
+
+        v_mid = self.v + dt / 2 * acceleration(self.v)
+        a = acceleration(v_mid)
+        self.p = self.p + dt * self.v + dt**2 / 2 * a
+        self.v = self.v + dt * a
+        self.C = exp(-(w_ie + W_v @ v_mid) * dt) @ self.C @ exp(w_ib_b * dt)
+
+        n = self.n
+        dynamics, G, Q = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
+        w_en = W_v @ v_mid
+        dynamics[V, V] = skew(v_mid) @ W_v - skew(2 * w_ie + w_en)
+        dynamics[V, A] = -skew(f_n)
+        dynamics[V, F] = -C_mid
+        dynamics[A, V] = -W_v
+        dynamics[A, A] = -skew(w_ie + w_en)
+        dynamics[A, W] = -C_mid
+        dynamics[P, V] = I3
+        G[V, V], G[A, A], G[F, F], G[W, W] = -C_mid, -C_mid, I3, I3
+        Q[V, V], Q[A, A], Q[F, F], Q[W, W] = Q_f, Q_w, self.eps_f * I3, self.eps_w * I3
+        T, T_dot = self.coordinates(v_mid), np.zeros((n, n))
+        if self.invariant:
+            T_dot[V, A] = skew(a)
+        back = 2 * np.eye(n) - T  # T^-1, since (T - I)^2 = 0
+        dynamics, G = T @ dynamics @ back + T_dot @ back, T @ G
+        noise = G @ Q @ G.T
+        beta = 1 / self.dvl_time_constant
+        if self.exact:
+            if n > 15:
+                dynamics[D, D] = -beta * I3
+                noise[D, D] = 2 * beta * self.dvl_std**2 * I3
+            Phi, Q_d = van_loan(dynamics, noise, dt)
+            self.P = Phi @ self.P @ Phi.T + Q_d
+        else:
+            Phi = np.eye(n) + dynamics * dt + dynamics @ dynamics * dt**2 / 2
+            half = noise * dt / 2
+            if n > 15:
+                Phi[D, D] = np.exp(-beta * dt) * I3
+            self.P = Phi @ (self.P + half) @ Phi.T + half
+            if n > 15:
+                self.P[D, D] += self.dvl_std**2 * (1 - np.exp(-2 * beta * dt)) * I3
+
+    def update(self, v_d, R, w_ib_b, Q_w_mean):
+        """Correct with a DVL velocity.
+
+        Args:
+            w_ib_b: (3,) mean of the measured turn rate.
+            Q_w_mean: (3, 3) covariance of that mean.
+
+        Returns:
+            innovation, S, nis and whether the state was corrected.
+        """
+        _, w_ie, W_v = self.earth()
+        C_d_n = self.C_b_d.T @ self.C.T
+        l_x = self.C_b_d.T @ skew(self.l_b)
+        w_in = w_ie + W_v @ self.v
+        w_nb = w_ib_b - self.b_w - self.C.T @ w_in
+        h = self.C_b_d.T @ (self.C.T @ self.v + np.cross(w_nb, self.l_b))
+        H = np.zeros((3, self.n))
+        H[:, V] = C_d_n
+        H[:, A] = C_d_n @ skew(self.v) + l_x @ self.C.T @ skew(w_in)
+        H[:, W] = l_x
+        if self.n > 15:
+            H[:, D] = I3
+            h = h + self.b_d
+        H = H @ (2 * np.eye(self.n) - self.coordinates(self.v))
+        R = R + l_x @ Q_w_mean @ l_x.T
+        S = H @ self.P @ H.T + R
+        nu = v_d - h
+        nis = nu @ np.linalg.solve(S, nu)
+        if nis > chi2.ppf(self.gate_probability, 3):
+            return nu, S, nis, False
+        K = np.linalg.solve(S, H @ self.P).T
+        keep = np.eye(self.n) - K @ H
+        self.P = keep @ self.P @ keep.T + K @ R @ K.T
+        x = K @ nu
+        turn = exp(x[A])
+        self.C = turn @ self.C
+        self.v = (turn @ self.v if self.invariant else self.v) + x[V]
+        self.b_f, self.b_w, self.p = self.b_f + x[F], self.b_w + x[W], self.p + x[P]
+        if self.n > 15:
+            self.b_d = self.b_d + x[D]
+        return nu, S, nis, True
+
+
+def van_loan(dynamics, noise, dt):
+    """Phi and Q_d of x' = F x + n over a step, without approximation."""
+    n = len(dynamics)
+    block = np.zeros((2 * n, 2 * n))
+    block[:n, :n], block[:n, n:], block[n:, n:] = -dynamics, noise, dynamics.T
+    result = expm(block * dt)
+    Phi = result[n:, n:].T
+    return Phi, Phi @ result[:n, n:]
+
+
+def interval_mean(stamps_ns, samples, end_ns, length_ns):
+    """Mean of the samples, each constant over the interval before its stamp, and how many count."""
+    t = (stamps_ns - stamps_ns[0]) / NS
+    integral = np.vstack([np.zeros(3), np.cumsum(samples[1:] * np.diff(t)[:, None], axis=0)])
+    end, start = (end_ns - stamps_ns[0]) / NS, (end_ns - length_ns - stamps_ns[0]) / NS
+    total = [np.interp(end, t, integral[:, i]) - np.interp(start, t, integral[:, i]) for i in range(3)]
+    count = np.count_nonzero((stamps_ns[1:] > end_ns - length_ns) & (stamps_ns[:-1] < end_ns))
+    return np.array(total) / (length_ns / NS), count
+
+
+def run(dense, stamps_ns, f_b, w_ib_b, events, average_ns, density, rate):
+    """Fold a mission: events are (stamp, "Q", Q_f, Q_w) or (stamp, "dvl", v_d, R), sorted by stamp.
+
+    The first event sets Q. Samples and Q are in base_link axes; Q is per sample as told.
+
+    Returns:
+        Copies of (C, v, p, b_f, b_w, b_d, P) at the stamps, and the reports of the updates.
+    """
+    states, reports = [], []
+    time_ns, pending = stamps_ns[0], list(events)
+
+    def apply_until(limit_ns, k):
+        nonlocal time_ns, Q_f, Q_w
+        while pending and pending[0][0] <= limit_ns:
+            stamp, kind, first, second = pending.pop(0)
+            step(stamp, k)
+            if kind == "Q":
+                Q_f, Q_w = first, second
+            else:
+                mean, count = interval_mean(stamps_ns, w_ib_b, stamp, average_ns)
+                variance = Q_w * density * rate / count
+                reports.append(dense.update(first, second, mean, variance))
+
+    def step(to_ns, k):
+        nonlocal time_ns
+        if to_ns > time_ns:
+            dt = (to_ns - time_ns) / NS
+            dense.predict(f_b[k], w_ib_b[k], dt, Q_f * density, Q_w * density)
+            time_ns = to_ns
+
+    Q_f = Q_w = None
+    for k, stamp in enumerate(stamps_ns):
+        apply_until(stamp - 1, k)
+        step(stamp, k)
+        apply_until(stamp, k)
+        states.append(
+            [x.copy() for x in (dense.C, dense.v, dense.p, dense.b_f, dense.b_w, dense.b_d, dense.P)]
+        )
+    return states, reports
