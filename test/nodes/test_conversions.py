@@ -1,0 +1,61 @@
+"""Numbers to messages: what does not fit is an error here, because rclpy would send garbage."""
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import Quaternion, TwistWithCovarianceStamped, Vector3
+from rclpy.serialization import deserialize_message, serialize_message
+
+from ros_insdvl.conversions import (
+    fill_innovation,
+    flat_covariance,
+    set_quaternion,
+    set_vector,
+    time_of,
+)
+
+
+@pytest.mark.parametrize(
+    "value", [[1, 2, 3], np.float32([1, 2, 3]), np.arange(1.0, 7.0)[::2] / 2 + 0.5]
+)
+def test_vector_of_any_number_type_survives_the_wire(value: object) -> None:
+    field = Vector3()
+    set_vector(field, value)
+    assert deserialize_message(serialize_message(field), Vector3) == Vector3(x=1.0, y=2.0, z=3.0)
+
+
+@pytest.mark.parametrize("value", [[1.0, 2.0], np.zeros((3, 1)), np.zeros((1, 3)), 5.0])
+def test_vector_of_another_shape_is_refused(value: object) -> None:
+    with pytest.raises(ValueError, match="3 values"):
+        set_vector(Vector3(), value)
+
+
+def test_quaternion_of_another_size_is_refused() -> None:
+    with pytest.raises(ValueError, match="4 values"):
+        set_quaternion(Quaternion(), np.zeros(3))
+
+
+def test_covariance_is_flat_whatever_its_layout() -> None:
+    P = np.arange(36).reshape(6, 6)
+    for given in (P, np.asfortranarray(P), P.ravel().tolist()):
+        flat = flat_covariance(given, 6)
+        assert flat.dtype == np.float64
+        assert flat.tolist() == list(range(36))
+    for given in (np.eye(3), np.zeros(35)):
+        with pytest.raises(ValueError, match="36 values"):
+            flat_covariance(given, 6)
+
+
+@pytest.mark.parametrize("stamp_ns", [0, 999_999_999, 1_700_000_000_123_456_789])
+def test_stamp_keeps_every_nanosecond(stamp_ns: int) -> None:
+    stamp = time_of(stamp_ns)
+    assert stamp.sec * 1_000_000_000 + stamp.nanosec == stamp_ns
+
+
+def test_innovation_leaves_the_angular_part_unknown() -> None:
+    message = TwistWithCovarianceStamped()
+    S = np.array([[3.0, 1.0, 0.0], [1.0, 4.0, 0.5], [0.0, 0.5, 5.0]])
+    fill_innovation(message, 5, np.array([1.0, 2.0, 3.0]), S)
+    covariance = message.twist.covariance.reshape(6, 6)
+    assert (covariance[:3, :3] == S).all()
+    assert not covariance[3:].any()
+    assert not covariance[:, 3:].any()

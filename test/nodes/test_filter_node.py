@@ -1,0 +1,556 @@
+"""The filter node in a graph: what it publishes, and what it does with whatever it is sent."""
+
+from collections.abc import Callable, Iterator
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import TwistStamped, TwistWithCovarianceStamped
+from nav_msgs.msg import Odometry
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Imu, NavSatFix, NavSatStatus
+from std_srvs.srv import Trigger
+
+from insdvl import messages
+from insdvl.events import NS
+from insdvl.fold import run
+from insdvl.frames import ENU
+from insdvl.odometry import odometry
+from insdvl.parameters import FilterParameters, build
+from insdvl.simulation.mission import Mission, simulate
+from insdvl.simulation.noise import SCENARIOS
+from insdvl.simulation.trajectories import trajectory_named
+from ros_insdvl.conversions import flat_covariance, set_quaternion, set_vector, time_of
+from ros_insdvl.filter import FilterNode
+
+START_NS = 1_700_000_000_250_000_000
+STEP_NS = 10_000_000
+RELIABLE = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
+BEST_EFFORT = QoSProfile(depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT)
+DEADLINE_NS = 120 * NS  # far beyond what any of these waits takes
+Q_F, Q_W = (0.04, 0.01, 0.02), (0.002, 0.004, 0.001)
+
+INPUTS = {
+    "imu/data_raw": Imu,
+    "dvl/velocity": TwistStamped,
+    "dvl/velocity_cov": TwistWithCovarianceStamped,
+    "process_noise": Imu,
+    "ground_truth/process_noise": Imu,
+    "set_odometry": Odometry,
+    "start": Odometry,
+    "gps/fix": NavSatFix,
+}
+OUTPUTS = {
+    "odometry/filtered": Odometry,
+    "imu/bias": Imu,
+    "dvl/innovation": TwistWithCovarianceStamped,
+}
+
+
+@cache
+def mission(duration: float = 8.0) -> Mission:
+    return simulate(
+        trajectory_named("auv"), SCENARIOS["varying"], seed=5, duration=duration, start_ns=START_NS
+    )
+
+
+def imu_message(stamp_ns: int, f_b: Any = (0.0, 0.0, 9.8), w_ib_b: Any = (0.0, 0.0, 0.0)) -> Imu:
+    """An Imu in forward-left-up."""
+    message = Imu()
+    message.header.stamp = time_of(stamp_ns)
+    message.header.frame_id = "imu_link"
+    set_vector(message.linear_acceleration, f_b)
+    set_vector(message.angular_velocity, w_ib_b)
+    return message
+
+
+def noise_message(stamp_ns: int, q_f: Any = Q_F, q_w: Any = Q_W) -> Imu:
+    message = imu_message(stamp_ns)
+    message.orientation_covariance[0] = -1.0
+    message.linear_acceleration_covariance = flat_covariance(np.diag(q_f), 3)
+    message.angular_velocity_covariance = flat_covariance(np.diag(q_w), 3)
+    return message
+
+
+def dvl_message(stamp_ns: int, v_d: Any = (0.0, 0.0, 0.0)) -> TwistStamped:
+    message = TwistStamped()
+    message.header.stamp = time_of(stamp_ns)
+    message.header.frame_id = "dvl_link"
+    set_vector(message.twist.linear, v_d)
+    return message
+
+
+def odometry_message(stamp_ns: int, position: Any = (0.0, 0.0, 0.0)) -> Odometry:
+    """At a position, level, heading west, 1 m/s forward."""
+    message = Odometry(child_frame_id="base_link")
+    message.header.stamp = time_of(stamp_ns)
+    message.header.frame_id = "odom"
+    set_vector(message.pose.pose.position, position)
+    set_quaternion(message.pose.pose.orientation, (0.0, 0.0, 1.0, 0.0))
+    set_vector(message.twist.twist.linear, (1.0, 0.0, 0.0))
+    return message
+
+
+def mission_messages(m: Mission) -> list[tuple[str, Any]]:
+    """Topics and messages of a mission, by stamp, with a process noise every 1.7 s."""
+    items: list[tuple[int, str, Any]] = []
+    rows = (m.stamps_ns.tolist(), m.f_b @ ENU.body, m.w_ib_b @ ENU.body)
+    for stamp, f, w in zip(*rows, strict=True):
+        items.append((stamp, "imu/data_raw", imu_message(stamp, f, w)))
+    for stamp, v in zip(m.dvl_stamps_ns.tolist(), m.v_d @ ENU.body, strict=True):
+        # Between two samples, so that the sample has to be cut.
+        items.append((stamp - 3_000_000, "dvl/velocity", dvl_message(stamp - 3_000_000, v)))
+    for k, stamp in enumerate(range(START_NS + 2 * NS, int(m.stamps_ns[-1]), 17 * NS // 10)):
+        message = noise_message(stamp, np.array(Q_F) / (k + 1))
+        items.append((stamp, "process_noise", message))
+    return [(topic, message) for _, topic, message in sorted(items, key=lambda item: item[0])]
+
+
+def offline(parameters: dict[str, Any], sent: list[tuple[str, Any]]) -> list[Any]:
+    """Odometry at every IMU stamp, by the filter without ROS."""
+    samples = sorted(
+        (messages.imu(m, ENU) for topic, m in sent if topic == "imu/data_raw"),
+        key=lambda sample: sample.stamp_ns,
+    )
+    convert = {"dvl/velocity": messages.dvl, "process_noise": messages.process_noise}
+    events = [convert[topic](m, ENU) for topic, m in sent if topic in convert]
+    result = run(
+        build(FilterParameters, parameters),
+        np.array([s.stamp_ns for s in samples]),
+        np.array([s.f_b for s in samples]),
+        np.array([s.w_ib_b for s in samples]),
+        events,
+    )
+    return [odometry(result.filter, result.states, k) for k in range(len(samples))]
+
+
+class Graph:
+    """The filter in the namespace /auv, and a node that talks to it; one executor turns both."""
+
+    def __init__(self, **parameters: Any) -> None:
+        self.context = Context()
+        self.context.init()
+        overrides = {
+            f"qos_overrides./auv/{topic}.subscription.reliability": "reliable"
+            for topic in ("imu/data_raw", "dvl/velocity", "dvl/velocity_cov", "start", "gps/fix")
+        }
+        self.filter = FilterNode(
+            namespace="/auv",
+            context=self.context,
+            parameter_overrides=[
+                Parameter(name, value=value) for name, value in {**overrides, **parameters}.items()
+            ],
+        )
+        self.peer = Node("peer", namespace="/auv", context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.filter)
+        self.executor.add_node(self.peer)
+        self.received: dict[str, list[Any]] = {topic: [] for topic in OUTPUTS}
+        for topic, kind in OUTPUTS.items():
+            self.peer.create_subscription(kind, topic, self.received[topic].append, RELIABLE)
+        self.statuses: list[DiagnosticStatus] = []
+        self.peer.create_subscription(
+            DiagnosticArray, "/diagnostics", lambda m: self.statuses.extend(m.status), RELIABLE
+        )
+        self.publishers = {
+            topic: self.peer.create_publisher(INPUTS[topic], topic, RELIABLE)
+            for topic in self.filter.received
+        }
+        self.until(
+            lambda: (
+                all(p.get_subscription_count() for p in self.publishers.values())
+                and all(output.listeners for output in self.filter.outputs.values())
+            )
+        )
+
+    def until(self, condition: Callable[[], Any]) -> None:
+        clock = self.peer.get_clock()
+        start = clock.now()
+        while not condition():
+            assert (clock.now() - start).nanoseconds < DEADLINE_NS
+            self.executor.spin_once(timeout_sec=0.1)
+
+    def send(self, *items: tuple[str, Any]) -> None:
+        """Publish one by one, each when the last has been handled: this order and no other."""
+        for topic, message in items:
+            target = self.filter.received[topic] + 1
+            self.publishers[topic].publish(message)
+            self.until(lambda t=topic, n=target: self.filter.received[t] == n)
+        self.until(
+            lambda: all(
+                len(self.received[topic]) == output.count
+                for topic, output in self.filter.outputs.items()
+            )
+        )
+
+    def status(self) -> tuple[DiagnosticStatus, dict[str, str]]:
+        """The next status, and its values."""
+        self.statuses.clear()
+        self.until(lambda: self.statuses)
+        status = self.statuses[-1]
+        return status, {item.key: item.value for item in status.values}
+
+    def odometry(self) -> list[Odometry]:
+        return self.received["odometry/filtered"]
+
+    def close(self) -> None:
+        self.executor.shutdown()
+        self.peer.destroy_node()
+        self.filter.destroy_node()
+        self.context.shutdown()
+
+
+@pytest.fixture
+def graph() -> Iterator[Callable[..., Graph]]:
+    made: list[Graph] = []
+
+    def make(**parameters: Any) -> Graph:
+        made.append(Graph(**parameters))
+        return made[-1]
+
+    yield make
+    for each in made:
+        each.close()
+
+
+def stamp_of(message: Any) -> int:
+    return messages.stamp_ns(message.header)
+
+
+def numbers(message: Odometry) -> np.ndarray:
+    p, q = message.pose.pose.position, message.pose.pose.orientation
+    v, w = message.twist.twist.linear, message.twist.twist.angular
+    return np.concatenate(
+        [
+            [p.x, p.y, p.z, q.x, q.y, q.z, q.w, v.x, v.y, v.z, w.x, w.y, w.z],
+            message.pose.covariance,
+            message.twist.covariance,
+        ]
+    )
+
+
+def expected_numbers(output: Any) -> np.ndarray:
+    return np.concatenate(
+        [
+            output.position,
+            output.quaternion_xyzw,
+            output.twist_linear,
+            output.twist_angular,
+            output.pose_covariance.ravel(),
+            output.twist_covariance.ravel(),
+        ]
+    )
+
+
+def imu_run(first: int, last: int) -> list[tuple[str, Any]]:
+    """Samples of a vehicle at rest, by number."""
+    return [("imu/data_raw", imu_message(START_NS + k * STEP_NS)) for k in range(first, last)]
+
+
+def test_one_odometry_per_sample_with_frames_and_stamps(graph: Any) -> None:
+    g = graph()
+    m = mission()
+    g.send(*(item for item in mission_messages(m) if item[0] != "process_noise"))
+    received = g.odometry()
+    assert [stamp_of(message) for message in received] == m.stamps_ns.tolist()
+    assert {message.header.frame_id for message in received} == {"odom"}
+    assert {message.child_frame_id for message in received} == {"base_link"}
+    biases = g.received["imu/bias"]
+    seconds = [stamp_of(message) // NS for message in biases]
+    assert seconds == sorted(set((m.stamps_ns // NS).tolist()))
+    for message in biases:
+        assert message.header.frame_id == "imu_link"
+        assert message.orientation_covariance[0] == -1.0
+        assert (message.linear_acceleration_covariance[::4] > 0.0).all()
+        assert (message.angular_velocity_covariance[::4] > 0.0).all()
+    innovations = g.received["dvl/innovation"]
+    assert [stamp_of(i) for i in innovations] == (m.dvl_stamps_ns - 3_000_000).tolist()
+    for message in innovations:
+        assert message.header.frame_id == "dvl_link"
+        S = message.twist.covariance.reshape(6, 6)[:3, :3]
+        assert np.linalg.eigvalsh(S)[0] > 0.01  # at least the DVL's own variance
+
+
+def test_velocity_and_its_covariance_are_in_body_axes(graph: Any) -> None:
+    g = graph(**{"initial.mode": "set_odometry"})
+    start = odometry_message(START_NS)
+    start.twist.covariance[[0, 7, 14]] = [0.01, 0.04, 0.09]
+    start.twist.covariance[[21, 28, 35]] = 1e-6
+    start.pose.covariance[[0, 7, 14]] = [1.0, 4.0, 9.0]
+    start.pose.covariance[[21, 28, 35]] = [1e-4, 4e-4, 9e-4]
+    g.send(("set_odometry", start), *imu_run(0, 2))
+    message = g.odometry()[0]
+    twist = message.twist.twist.linear
+    np.testing.assert_allclose([twist.x, twist.y, twist.z], [1.0, 0.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(message.twist.covariance[[0, 7, 14]], [0.01, 0.04, 0.09], rtol=1e-9)
+    np.testing.assert_allclose(
+        message.pose.covariance[::7], [1.0, 4.0, 9.0, 1e-4, 4e-4, 9e-4], rtol=1e-9
+    )
+    # Heading west: forward is -x of odom.
+    assert g.odometry()[1].pose.pose.position.x == pytest.approx(-0.01, abs=1e-4)
+    for message in g.odometry():
+        for P in (message.pose.covariance, message.twist.covariance):
+            P = P.reshape(6, 6)
+            assert (P == P.T).all()
+            assert np.linalg.eigvalsh(P)[0] > 0.0
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_delayed_output_is_the_offline_result_whatever_the_order(graph: Any, seed: int) -> None:
+    parameters = {
+        "output_delay": 0.6,
+        "process_noise.source": "external",
+        "gate.enabled": False,
+        "dvl.lever_arm": (0.4, -0.2, 0.3),
+    }
+    m = mission(5.0)
+    sent = mission_messages(m)
+    # A message arrives up to 0.5 s late; so the order is any within that.
+    rng = np.random.default_rng(seed)
+    arrival = [stamp_of(message) + rng.uniform(0.0, 0.5 * NS) for _, message in sent]
+    shuffled = [sent[k] for k in np.argsort(arrival)]
+    assert shuffled != sent
+    g = graph(**{k: list(v) if isinstance(v, tuple) else v for k, v in parameters.items()})
+    g.send(*shuffled)
+    expected = {output.stamp_ns: output for output in offline(parameters, sent)}
+    received = g.odometry()
+    assert len(received) == 5 * 100 - 60
+    for message in received:
+        np.testing.assert_array_equal(
+            numbers(message), expected_numbers(expected[stamp_of(message)])
+        )
+
+
+def test_learned_noise_applies_from_its_stamp_on(graph: Any) -> None:
+    parameters = {"process_noise.source": "external"}
+    at = START_NS + 5 * STEP_NS
+    q = ("process_noise", noise_message(at, (1.0, 1.0, 1.0)))
+    g = graph(**parameters)
+    g.send(*imu_run(1, 6), q, *imu_run(6, 10))
+    without = offline(parameters, imu_run(1, 10))
+    pairs = zip(g.odometry(), without, strict=True)
+    same = [(numbers(m) == expected_numbers(o)).all() for m, o in pairs]
+    assert same == [True] * 5 + [False] * 4
+    # One step with 1 (m/s^2)^2 per sample adds (0.01 s)^2 to the variance of the velocity; the
+    # uncertain tilt adds a little.
+    before, after = (m.twist.covariance[0] for m in g.odometry()[4:6])
+    assert after - before == pytest.approx(1e-4, rel=0.1)
+
+
+def test_unknown_noise_is_never_zero_noise(graph: Any) -> None:
+    parameters = {"process_noise.source": "external"}
+    unknown = noise_message(START_NS + 2 * STEP_NS, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    g = graph(**parameters)
+    g.send(*imu_run(1, 3), ("process_noise", unknown), *imu_run(3, 6))
+    expected = offline(parameters, imu_run(1, 6))
+    for message, output in zip(g.odometry(), expected, strict=True):
+        np.testing.assert_array_equal(numbers(message), expected_numbers(output))
+
+
+def test_dead_tuner_falls_back_to_nominal_and_comes_back(graph: Any) -> None:
+    g = graph(**{"process_noise.source": "external", "q_timeout": 0.5})
+    status, values = g.status()
+    g.send(*imu_run(1, 3))
+    status, values = g.status()
+    assert "Q is nominal" in status.message
+    assert values["Q age [s]"] == "nominal"
+    assert float(values["Q sigma f_x [m/s^2]"]) == pytest.approx(0.1)
+    g.send(("process_noise", noise_message(START_NS + 2 * STEP_NS)), *imu_run(3, 20))
+    status, values = g.status()
+    assert "nominal" not in status.message
+    assert float(values["Q sigma f_x [m/s^2]"]) == pytest.approx(0.2)
+    assert float(values["Q age [s]"]) == pytest.approx(0.17)
+    g.send(*imu_run(20, 70))
+    status, values = g.status()
+    assert status.level == DiagnosticStatus.WARN
+    assert "nominal" in status.message
+    assert values["q_timeouts"] == "1"
+    assert float(values["Q sigma f_x [m/s^2]"]) == pytest.approx(0.1)
+    g.send(("process_noise", noise_message(START_NS + 69 * STEP_NS)), *imu_run(70, 72))
+    status, values = g.status()
+    assert float(values["Q sigma f_x [m/s^2]"]) == pytest.approx(0.2)
+    assert "nominal" not in status.message
+
+
+def test_noise_from_the_imu_messages_themselves(graph: Any) -> None:
+    g = graph(**{"process_noise.source": "message"})
+    sent = []
+    for _, message in imu_run(1, 5):
+        message.linear_acceleration_covariance = flat_covariance(np.diag(Q_F), 3)
+        message.angular_velocity_covariance = flat_covariance(np.diag(Q_W), 3)
+        sent.append(("imu/data_raw", message))
+    g.send(*sent)
+    _, values = g.status()
+    sigmas = [float(values[f"Q sigma f_{axis} [m/s^2]"]) for axis in "xyz"]
+    np.testing.assert_allclose(sigmas, np.sqrt(Q_F), rtol=1e-5)
+
+
+def test_true_noise_comes_from_its_own_topic(graph: Any) -> None:
+    g = graph(**{"process_noise.source": "oracle"})
+    q = noise_message(START_NS + STEP_NS)
+    g.send(*imu_run(1, 3), ("ground_truth/process_noise", q), *imu_run(3, 5))
+    _, values = g.status()
+    assert float(values["Q sigma w_y [rad/s]"]) == pytest.approx(np.sqrt(Q_W[1]), rel=1e-5)
+
+
+def bad_imu(stamp_ns: int, field: str, axis: str, value: float) -> Imu:
+    message = imu_message(stamp_ns)
+    setattr(getattr(message, field), axis, value)
+    return message
+
+
+def test_bad_messages_are_counted_by_reason_and_change_nothing(graph: Any) -> None:
+    g = graph(**{"gate.enabled": False})
+    good = imu_run(1, 301)
+    t = START_NS + 300 * STEP_NS
+    unmeasured = imu_message(t + 1)
+    unmeasured.linear_acceleration_covariance[0] = -1.0
+    indefinite = TwistWithCovarianceStamped()
+    indefinite.header.stamp = time_of(t)
+    indefinite.twist.covariance[[0, 7, 14]] = [1.0, -1.0, 1.0]
+    crooked = odometry_message(t)
+    crooked.pose.pose.orientation.w = 3.0
+    bad = [
+        ("imu/data_raw", bad_imu(t + 1, "linear_acceleration", "x", np.nan)),
+        ("imu/data_raw", bad_imu(t + 2, "angular_velocity", "z", np.inf)),
+        ("imu/data_raw", unmeasured),
+        ("imu/data_raw", good[150][1]),
+        ("imu/data_raw", imu_message(START_NS - 5 * NS)),
+        ("dvl/velocity", dvl_message(t, (np.nan, 0.0, 0.0))),
+        ("dvl/velocity", dvl_message(START_NS - 5 * NS)),
+        ("dvl/velocity_cov", indefinite),
+        ("set_odometry", crooked),
+    ]
+    g.send(*good)
+    before = len(g.odometry())
+    g.send(*bad)
+    assert len(g.odometry()) == before == 300
+    _, values = g.status()
+    rejected = {key: int(n) for key, n in values.items() if key.startswith("rejected ")}
+    assert rejected == {
+        "rejected imu/data_raw: not_finite": 2,
+        "rejected imu/data_raw: no_data": 1,
+        "rejected imu/data_raw: duplicate": 1,
+        "rejected imu/data_raw: too_late": 1,
+        "rejected dvl/velocity: not_finite": 1,
+        "rejected dvl/velocity: too_late": 1,
+        "rejected dvl/velocity_cov: bad_covariance": 1,
+        "rejected set_odometry: bad_quaternion": 1,
+    }
+    more = imu_run(301, 310)
+    g.send(*more)
+    expected = offline({}, good + more)
+    for message, output in zip(g.odometry(), expected, strict=True):
+        np.testing.assert_array_equal(numbers(message), expected_numbers(output))
+        assert np.isfinite(numbers(message)).all()
+
+
+def test_gated_measurement_is_counted_and_published(graph: Any) -> None:
+    g = graph()
+    g.send(*imu_run(1, 6), ("dvl/velocity", dvl_message(START_NS + 5 * STEP_NS, (9.0, 0.0, 0.0))))
+    assert g.received["dvl/innovation"][0].twist.twist.linear.x == pytest.approx(9.0, abs=0.01)
+    _, values = g.status()
+    assert values["rejected dvl: gate"] == "1"
+    assert values["DVL updates rejected"] == "1"
+    assert float(values["NIS, mean of 1"]) > 1000.0
+
+
+def test_gaps_and_rate_are_told(graph: Any) -> None:
+    g = graph(**{"imu.rate": 50.0})
+    g.send(*imu_run(1, 21), *imu_run(60, 80))
+    status, values = g.status()
+    assert values["gaps"] == "1"
+    assert float(values["IMU rate of the stamps [Hz]"]) == pytest.approx(100.0)
+    assert "imu.rate is 50 Hz, the stamps say 100.0 Hz" in status.message
+
+
+def test_status_is_named_as_the_node_and_complains_without_imu(graph: Any) -> None:
+    g = graph()
+    status, values = g.status()
+    assert status.name == "/auv/insdvl_filter"
+    assert status.level == DiagnosticStatus.ERROR
+    assert "no imu/data_raw received" in status.message
+    g.send(*imu_run(1, 21))
+    status, values = g.status()
+    assert status.level == DiagnosticStatus.OK, status.message
+    assert values["received imu/data_raw"] == values["sent odometry/filtered"] == "20"
+    assert not [key for key in values if key.startswith("latency")]  # stamps of another year
+
+
+def test_late_set_odometry_moves_the_filter(graph: Any) -> None:
+    g = graph()
+    g.send(
+        *imu_run(1, 5), ("set_odometry", odometry_message(START_NS + 4 * STEP_NS, (7.0, 8.0, 9.0)))
+    )
+    g.send(*imu_run(5, 6))
+    position = g.odometry()[-1].pose.pose.position
+    assert [position.x, position.y, position.z] == pytest.approx([7.0, 8.0, 9.0], abs=0.05)
+
+
+def test_first_odometry_of_a_topic_initialises(graph: Any) -> None:
+    g = graph(**{"initial.mode": "topic", "initial.topic": "start", "max_delay": 0.05})
+    g.send(*imu_run(1, 4))
+    assert g.odometry() == []
+    status, _ = g.status()
+    assert "not initialised, waits for start" in status.message
+    g.send(("start", odometry_message(START_NS + 3 * STEP_NS, (7.0, 8.0, 9.0))))
+    g.send(*imu_run(4, 6))
+    g.send(("start", odometry_message(START_NS + 5 * STEP_NS, (100.0, 0.0, 0.0))))
+    g.send(*imu_run(6, 8))
+    assert g.odometry()[-1].pose.pose.position.x == pytest.approx(7.0, abs=0.2)
+    # What comes after max_delay cannot be the first any more: the filter stops listening.
+    g.send(("start", odometry_message(START_NS + 20 * STEP_NS, (100.0, 0.0, 0.0))))
+    g.until(lambda: g.publishers["start"].get_subscription_count() == 0)
+
+
+def test_origin_from_a_fix(graph: Any) -> None:
+    g = graph(**{"origin.source": "topic"})
+    g.send(*imu_run(1, 4))
+    assert g.odometry() == []
+    fix = NavSatFix(latitude=60.0, longitude=10.0, altitude=5.0)
+    fix.status.status = NavSatStatus.STATUS_FIX
+    fix.header.stamp = time_of(START_NS + 3 * STEP_NS)
+    g.send(("gps/fix", fix), *imu_run(4, 8))
+    assert g.odometry() != []
+    assert g.filter._fold.latest["lat_0"] == pytest.approx(np.radians(60.0))
+
+
+def test_reset_starts_again(graph: Any) -> None:
+    g = graph(**{"initial.mode": "set_odometry"})
+    start = ("set_odometry", odometry_message(START_NS + STEP_NS))
+    g.send(start, *imu_run(1, 4))
+    assert len(g.odometry()) == 3
+    client = g.peer.create_client(Trigger, "insdvl_filter/reset")
+    g.until(client.service_is_ready)
+
+    def reset() -> None:
+        future = client.call_async(Trigger.Request())
+        g.until(future.done)
+        assert future.result().success
+
+    reset()
+    g.send(*imu_run(4, 6))
+    assert len(g.odometry()) == 3
+    reset()
+    g.send(start, *imu_run(1, 4))  # a recording that begins again
+    first, second = g.odometry()[:3], g.odometry()[3:]
+    assert [numbers(m).tolist() for m in second] == [numbers(m).tolist() for m in first]
+
+
+def test_sensors_may_be_best_effort_and_noise_volatile(graph: Any) -> None:
+    g = graph(
+        **{
+            "process_noise.source": "external",
+            "qos_overrides./auv/imu/data_raw.subscription.reliability": "best_effort",
+        }
+    )
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    for topic, qos in (("imu/data_raw", BEST_EFFORT), ("process_noise", latched)):
+        publisher = g.peer.create_publisher(Imu, topic, qos)
+        g.until(lambda p=publisher: p.get_subscription_count() == 1)

@@ -1,0 +1,146 @@
+"""The monitor: the numbers in its table, for a terminal and for a log."""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from nav_msgs.msg import Odometry
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Imu
+
+from insdvl.events import NS
+from ros_insdvl.conversions import flat_covariance, set_vector, time_of
+from ros_insdvl.monitor import Monitor, OdometrySeries
+
+RELIABLE = QoSProfile(depth=2000, reliability=ReliabilityPolicy.RELIABLE)
+DEADLINE_NS = 60 * NS
+
+
+def odometry(stamp_ns: int, v_b: Any) -> Odometry:
+    message = Odometry()
+    message.header.stamp = time_of(stamp_ns)
+    set_vector(message.twist.twist.linear, v_b)
+    message.pose.pose.position.y = 5.0
+    message.pose.covariance = flat_covariance(np.diag(np.arange(1.0, 7.0)), 6)
+    message.twist.covariance = flat_covariance(np.diag([0.01, 0.04, 0.04, 1.0, 1.0, 1.0]), 6)
+    return message
+
+
+class Graph:
+    """A monitor of /a and /b, and a node that talks to it; one executor turns both."""
+
+    def __init__(self) -> None:
+        self.context = Context()
+        self.context.init()
+        topics = ("ground_truth/odometry", "a/odometry/filtered", "b/odometry/filtered")
+        overrides = {f"qos_overrides./{t}.subscription.reliability": "reliable" for t in topics}
+        overrides |= {"filters": ["/a", "/b"], "period": 3600.0}
+        self.monitor = Monitor(
+            context=self.context,
+            parameter_overrides=[Parameter(name, value=v) for name, v in overrides.items()],
+        )
+        self.peer = Node("peer", context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.monitor)
+        self.executor.add_node(self.peer)
+
+    def until(self, condition: Callable[[], Any]) -> None:
+        start = self.peer.get_clock().now()
+        while not condition():
+            assert (self.peer.get_clock().now() - start).nanoseconds < DEADLINE_NS
+            self.executor.spin_once(timeout_sec=0.1)
+
+    def send(self, topic: str, messages: list[Any]) -> None:
+        publisher = self.peer.create_publisher(type(messages[0]), topic, RELIABLE)
+        self.until(lambda: publisher.get_subscription_count() == 1)
+        target = self.monitor.received[topic] + len(messages)
+        for message in messages:
+            publisher.publish(message)
+        self.until(lambda: self.monitor.received[topic] == target)
+
+    def close(self) -> None:
+        self.monitor.destroy_node()
+        self.peer.destroy_node()
+        self.context.shutdown()
+
+
+@pytest.fixture
+def graph() -> Iterator[Graph]:
+    made = Graph()
+    yield made
+    made.close()
+
+
+def test_table_says_that_nothing_is_there(graph: Graph) -> None:
+    assert "no odometry yet" in graph.monitor.line()
+    assert len(graph.monitor.table()) == 8
+
+
+def test_error_is_against_the_truth_at_the_same_time(graph: Graph) -> None:
+    # The truth comes at 2 Hz and speeds up; the filter comes at 10 Hz, 0.3 and 0.4 m/s off.
+    truth = [odometry(k * NS // 2, (0.5 * k, 0.0, 0.0)) for k in range(9)]
+    wrong = [odometry(k * NS // 10, (0.1 * k + 0.3, 0.4, 0.0)) for k in range(41)]
+    graph.send("ground_truth/odometry", truth)
+    graph.send("/a/odometry/filtered", wrong)
+    first, second = graph.monitor.filters
+    error, sigma = graph.monitor.velocity_error(first)
+    np.testing.assert_allclose(error, np.tile([0.3, 0.4, 0.0], (41, 1)), atol=1e-12)
+    np.testing.assert_allclose(sigma, np.tile([0.1, 0.2, 0.2], (41, 1)))
+    assert len(graph.monitor.velocity_error(second)[0]) == 0
+    row = next(line for line in graph.monitor.table() if line.startswith("/a "))
+    assert row.split()[1:4] == ["0.500", "0.500", "0.900"]
+    assert "/a velocity error 0.500 m/s" in graph.monitor.line()
+
+
+def test_window_leaves_out_what_is_old(graph: Graph) -> None:
+    graph.send("ground_truth/odometry", [odometry(k * NS, (0.0, 0.0, 0.0)) for k in range(31)])
+    late = [odometry(k * NS, (9.0 if k < 15 else 1.0, 0.0, 0.0)) for k in range(31)]
+    graph.send("/a/odometry/filtered", late)
+    error, _ = graph.monitor.velocity_error(graph.monitor.filters[0])
+    assert error[:, 0].tolist() == [1.0] * 11
+
+
+def test_diagnostics_and_noise_are_shown(graph: Graph) -> None:
+    values = {
+        "NIS, mean of 9": "2.950",
+        "rate imu/data_raw [Hz]": "99.9",
+        "rejected dvl: gate": "3",
+        "rejected imu/data_raw: duplicate": "4",
+    }
+    status = DiagnosticStatus(
+        name="/b/insdvl_filter",
+        level=DiagnosticStatus.WARN,
+        message="no DVL for 7 s",
+        values=[KeyValue(key=key, value=value) for key, value in values.items()],
+    )
+    graph.send("/diagnostics", [DiagnosticArray(status=[status])])
+    learned = Imu()
+    learned.linear_acceleration_covariance = flat_covariance(np.diag([0.01, 0.04, 0.09]), 3)
+    graph.send("process_noise", [learned])
+    lines = graph.monitor.table()
+    row = next(line for line in lines if line.startswith("/b "))
+    assert "2.950" in row
+    assert "99.9" in row
+    assert " 7 " in row
+    assert row.endswith("warn: no DVL for 7 s")
+    noise = next(line for line in lines if line.startswith("learned"))
+    assert noise.split() == ["learned", "0.1000", "0.2000", "0.3000", "-", "-", "-"]
+
+
+def test_series_sorts_by_stamp_and_keeps_the_newest() -> None:
+    series = OdometrySeries(keep=3)
+    for stamp in (1, 5, 3, 4):
+        series.add(odometry(stamp, (float(stamp), 0.0, 0.0)))
+    stamps, rows = series.arrays()
+    assert stamps.tolist() == [3, 4, 5]
+    assert rows[:, OdometrySeries.VELOCITY][:, 0].tolist() == [3.0, 4.0, 5.0]
+    assert rows[0, OdometrySeries.POSITION].tolist() == [0.0, 5.0, 0.0]
+    assert rows[0, OdometrySeries.POSE_VARIANCE].tolist() == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+    assert rows[0, OdometrySeries.VELOCITY_VARIANCE].tolist() == [0.01, 0.04, 0.04]
+    assert series.arrays(count=1)[0].tolist() == [4]

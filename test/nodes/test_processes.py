@@ -1,0 +1,126 @@
+"""Nodes as processes: they find each other, do their work and end cleanly."""
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from nav_msgs.msg import Odometry
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Imu
+
+from insdvl.events import NS
+from insdvl.messages import stamp_ns
+from ros_insdvl.conversions import set_vector, time_of
+
+START_NS = 1_700_000_000_000_000_000
+DEADLINE = 120.0  # s; far beyond what any of these waits takes
+RELIABLE = QoSProfile(depth=2000, reliability=ReliabilityPolicy.RELIABLE)
+FILTER = ["-p", "qos_overrides./imu/data_raw.subscription.reliability:=reliable"]
+
+
+class Peer:
+    """A node of this process, and the nodes that it starts as processes."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.processes: list[subprocess.Popen[bytes]] = []
+        self.context = Context()
+        self.context.init()
+        self.node = Node("peer", context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+
+    def start(self, module: str, *arguments: str) -> subprocess.Popen[bytes]:
+        with (self.folder / f"{len(self.processes)}.log").open("wb") as log:
+            process = subprocess.Popen(
+                [sys.executable, "-m", f"ros_insdvl.{module}", "--ros-args", *arguments],
+                stdout=log,
+                stderr=subprocess.STDOUT,
+            )
+        self.processes.append(process)
+        return process
+
+    def output(self, process: subprocess.Popen[bytes]) -> str:
+        return (self.folder / f"{self.processes.index(process)}.log").read_text()
+
+    def until(self, condition: Callable[[], Any]) -> None:
+        start = time.monotonic()
+        while not condition():
+            assert time.monotonic() - start < DEADLINE
+            self.executor.spin_once(timeout_sec=0.1)
+
+    def close(self) -> None:
+        for process in self.processes:
+            process.kill()
+            process.wait()
+        self.node.destroy_node()
+        self.context.shutdown()
+
+
+@pytest.fixture
+def peer(tmp_path: Path) -> Iterator[Peer]:
+    made = Peer(tmp_path)
+    yield made
+    made.close()
+
+
+def imu_message(k: int) -> Imu:
+    message = Imu()
+    message.header.stamp = time_of(START_NS + k * NS // 100)
+    set_vector(message.linear_acceleration, (0.0, 0.0, 9.8))
+    return message
+
+
+def test_two_processes_lose_nothing(peer: Peer) -> None:
+    received: list[Odometry] = []
+    peer.node.create_subscription(Odometry, "odometry/filtered", received.append, RELIABLE)
+    publisher = peer.node.create_publisher(Imu, "imu/data_raw", RELIABLE)
+    process = peer.start("filter", *FILTER)
+    peer.until(lambda: publisher.get_subscription_count() == 1)
+    peer.until(lambda: peer.node.count_publishers("odometry/filtered") == 1)
+    for k in range(1, 1001):
+        publisher.publish(imu_message(k))
+    peer.until(lambda: len(received) == 1000)
+    expected = [START_NS + k * NS // 100 for k in range(1, 1001)]
+    assert [stamp_ns(message.header) for message in received] == expected
+    process.send_signal(signal.SIGINT)
+    assert process.wait(DEADLINE) == 0
+
+
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    ("module", "topic"), [("filter", "imu/data_raw"), ("monitor", "ground_truth/odometry")]
+)
+def test_interrupted_twice_it_ends_cleanly(
+    peer: Peer, module: str, topic: str, kind: signal.Signals
+) -> None:
+    process = peer.start(module)
+    peer.until(lambda: peer.node.count_subscribers(topic) == 1)
+    process.send_signal(kind)
+    process.send_signal(kind)
+    assert process.wait(DEADLINE) == 0
+    assert "Traceback" not in peer.output(process)
+    peer.until(lambda: peer.node.count_subscribers(topic) == 0)
+
+
+def test_interrupted_under_load_it_ends_cleanly(peer: Peer) -> None:
+    received: list[Odometry] = []
+    peer.node.create_subscription(Odometry, "odometry/filtered", received.append, RELIABLE)
+    publisher = peer.node.create_publisher(Imu, "imu/data_raw", RELIABLE)
+    process = peer.start("filter", *FILTER)
+    peer.until(lambda: publisher.get_subscription_count() == 1)
+    for k in range(1, 1501):
+        publisher.publish(imu_message(k))
+    peer.until(lambda: len(received) > 10)
+    process.send_signal(signal.SIGINT)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(DEADLINE) == 0
+    assert "Traceback" not in peer.output(process)
