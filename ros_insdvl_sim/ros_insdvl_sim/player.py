@@ -4,6 +4,7 @@ Messages are sent from a thread of their own, by the steady clock. A player that
 up: it never skips a message, and no error of the pace accumulates.
 """
 
+import math
 import sys
 import threading
 import time
@@ -99,7 +100,7 @@ class Player(InsdvlNode[_Group]):
     def _send_all(self) -> bool:
         """Whether all messages were sent; False where the node ends before."""
         start, start_ns, now_ns = time.monotonic(), -1, -1
-        last_clock = 0.0
+        last_clock = -math.inf
         for time_ns, topic, message in self.timeline():
             if start_ns < 0:
                 start, start_ns = time.monotonic(), time_ns

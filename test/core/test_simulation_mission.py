@@ -107,6 +107,11 @@ def test_stamps_of_a_rate_that_divides_no_second_do_not_drift():
     assert mission.truth.t[-1] == 400.0
 
 
+def test_the_last_stamp_is_the_end_even_where_the_product_is_rounded_down():
+    assert 0.29 * 100.0 < 29.0
+    assert simulate(AUV, VARYING, seed=1, duration=0.29).stamps_ns[-1] == 290_000_000
+
+
 def test_readings_are_truth_bias_and_noise_of_the_intervals_variance():
     def two_levels(duration, rng):
         return NoiseProfile(np.array([0.0, 20.0]), np.array([[1e-4] * 6, [1e-2] * 6]))
