@@ -97,6 +97,15 @@ def test_equals_scikit_learn_for_any_number_of_trees(trees):
     assert bits(to_forest(ensemble).predict(X)) == bits(ensemble.predict(X))
 
 
+def test_equals_scikit_learn_where_trees_see_some_of_the_columns_only():
+    rng = np.random.default_rng(8)
+    X, y = rng.standard_normal((300, 5)), rng.standard_normal(300)
+    ensemble = BaggingRegressor(
+        DecisionTreeRegressor(min_samples_leaf=4), n_estimators=9, max_features=3, random_state=1
+    ).fit(X, y)
+    assert bits(to_forest(ensemble).predict(X)) == bits(ensemble.predict(X))
+
+
 def test_a_tree_without_a_split():
     X, y = np.zeros((10, 3)), np.full(10, 0.1)
     ensemble = BaggingRegressor(DecisionTreeRegressor(), n_estimators=3, random_state=0).fit(X, y)
@@ -165,6 +174,9 @@ def test_two_trees_written_by_hand():
     two["value"] = np.array([1.0, 2.0, 3.0, 10.0, 20.0, 40.0])
     X = np.array([[0.5, 9.0], [0.6, 1.5], [0.6, 1.6]])
     assert Forest(two).predict(X).tolist() == [5.5, 11.0, 21.5]
+    two["roots"] = np.array([0, 4], np.int32)
+    with pytest.raises(ForestError, match="not the 2 trees"):
+        Forest(two)
 
 
 @pytest.mark.parametrize(
