@@ -482,7 +482,8 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         _replay(arguments)
     except (ValueError, OSError) as error:
-        print(f"insdvl replay: {error}", file=sys.stderr)
+        sentence = " ".join(str(error).split())  # a YAML error comes in several lines
+        print(f"insdvl replay: {sentence}", file=sys.stderr)
         return 2
     return 0
 

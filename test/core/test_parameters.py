@@ -1,0 +1,188 @@
+"""Parameters: strict types, ranges, names; YAML sections; the generated files are up to date."""
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from insdvl import parameter_docs
+from insdvl.parameters import (
+    SECTIONS,
+    FilterParameters,
+    ParameterError,
+    ReplayParameters,
+    TunerParameters,
+    build,
+    declarations,
+    flatten,
+    load_section,
+    parameter,
+)
+
+ROOT = Path(__file__).parents[2]
+
+
+@dataclass(frozen=True)
+class Inner:
+    gain: float = parameter(0.5, "A gain.", unit="1/s", low=0.0, high=1.0)
+    triple: tuple[float, ...] = parameter((1.0, 2.0, 3.0), "Three.", above=0.0, length=3)
+
+
+@dataclass(frozen=True)
+class Group:
+    on: bool = parameter(True, "A switch.")
+    count: int = parameter(3, "A number.", low=1, high=9)
+    mode: str = parameter("fast", "A choice.", choices=("fast", "slow"))
+    inner: Inner = field(default_factory=Inner)
+
+
+def test_what_is_given_replaces_the_default_and_nothing_else() -> None:
+    assert build(Group, {}) == Group()
+    given = {"on": False, "count": 9, "mode": "slow", "inner.gain": 0.0, "inner.triple": [1.5] * 3}
+    assert build(Group, given) == Group(False, 9, "slow", Inner(0.0, (1.5, 1.5, 1.5)))
+    assert build(Group, {"inner.gain": 1.0}) == Group(inner=Inner(gain=1.0))
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "expected"),
+    [
+        ("count", 0, "'count' must be >= 1 and <= 9, got 0"),
+        ("count", 10, "'count' must be >= 1 and <= 9, got 10"),
+        ("count", 3.0, "'count' must be a int, got 3.0"),
+        ("count", True, "'count' must be a int, got True"),
+        ("on", 1, "'on' must be a bool, got 1"),
+        ("on", "true", "'on' must be a bool, got 'true'"),
+        ("mode", "quick", "'mode' must be one of fast, slow, got 'quick'"),
+        ("mode", 1, "'mode' must be a string, got 1"),
+        ("inner.gain", 1, "'inner.gain' must be a float, got 1"),
+        ("inner.gain", -0.1, "'inner.gain' must be >= 0 and <= 1, got -0.1"),
+        ("inner.gain", math.nan, "'inner.gain' must be .* got nan"),
+        ("inner.gain", math.inf, "'inner.gain' must be .* got inf"),
+        ("inner.triple", [1.0, 2.0], "'inner.triple' must be 3 values, each > 0, got"),
+        ("inner.triple", [1.0, 2.0, 0.0], "'inner.triple' must be 3 values, each > 0, got"),
+        ("inner.triple", [1.0, 2, 3.0], "'inner.triple' must be a list of floats, got"),
+        ("inner.triple", "1.0", "'inner.triple' must be a list of floats, got"),
+        ("inner.triple", 1.0, "'inner.triple' must be a list of floats, got"),
+        ("inner.gian", 0.5, "unknown parameter 'inner.gian'"),
+        ("inner", 0.5, "unknown parameter 'inner'"),
+    ],
+)
+def test_a_wrong_value_is_named_with_what_is_allowed(name: str, value: Any, expected: str) -> None:
+    with pytest.raises(ParameterError, match=expected):
+        build(Group, {name: value})
+
+
+def test_a_contradiction_is_refused() -> None:
+    with pytest.raises(ParameterError, match="'output_delay' must be at most max_delay"):
+        build(FilterParameters, {"output_delay": 3.0, "max_delay": 2.0})
+
+
+@pytest.mark.parametrize("node", SECTIONS)
+def test_every_default_is_allowed_and_described(node: str) -> None:
+    group = SECTIONS[node]
+    assert build(group, flatten(group())) == group()
+    for declaration in declarations(group):
+        assert declaration.check(declaration.default) == declaration.default
+        assert declaration.meaning.endswith((".", ")")), declaration.name
+
+
+# ---------------------------------------------------------------- YAML
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "parameters.yaml"
+    path.write_text(text)
+    return path
+
+
+def test_a_section_gives_its_node_its_values(tmp_path: Path) -> None:
+    path = write(
+        tmp_path,
+        """
+/**/insdvl_filter:
+  ros__parameters:
+    use_sim_time: true
+    qos_overrides: {/imu/data_raw: {subscription: {reliability: reliable}}}
+    max_delay: 3.0
+    dvl: {lever_arm: [0.1, 0.0, -0.2]}
+    gate.enabled: false
+/auv/insdvl_replay:
+  ros__parameters: {bag: here}
+/**/other_node:
+  ros__parameters: {anything: 1}
+""",
+    )
+    filter_ = load_section(path, "insdvl_filter", FilterParameters, required=True)
+    assert filter_.max_delay == 3.0
+    assert filter_.dvl.lever_arm == (0.1, 0.0, -0.2)
+    assert not filter_.gate.enabled
+    assert load_section(path, "insdvl_replay", ReplayParameters) == ReplayParameters(bag="here")
+    assert load_section(path, "insdvl_tuner", TunerParameters) == TunerParameters()
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("[1, 2", "cannot read the parameter file"),
+        ("", "it has no sections"),
+        ("- 1", "it has no sections"),
+        ("/**/insdvl_filter: 5", "has no 'ros__parameters'"),
+        ("/**/insdvl_filter: {parameters: {}}", "has no 'ros__parameters'"),
+        ("/**: {ros__parameters: {}}", r"no section '/\*\*/insdvl_filter'; it has /\*\*"),
+        ("/a/insdvl_filter: {ros__parameters: {max_dealy: 1.0}}", "unknown parameter 'max_dealy'"),
+        ("/a/insdvl_filter: {ros__parameters: {dvl: {bias: 1.0}}}", "unknown .* 'dvl.bias'"),
+        ("/a/insdvl_filter: {ros__parameters: {max_delay: 3}}", "'max_delay' must be a float"),
+    ],
+)
+def test_a_wrong_file_is_named_with_what_is_wrong(tmp_path: Path, text: str, expected: str) -> None:
+    path = write(tmp_path, text)
+    with pytest.raises(ParameterError, match=expected) as error:
+        load_section(path, "insdvl_filter", FilterParameters, required=True)
+    assert "parameters.yaml" in str(error.value)
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ParameterError, match=r"absent\.yaml"):
+        load_section(tmp_path / "absent.yaml", "insdvl_filter", FilterParameters)
+    (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ParameterError, match=r"binary\.yaml"):
+        load_section(tmp_path / "binary.yaml", "insdvl_filter", FilterParameters)
+
+
+# ---------------------------------------------------------------- generated files
+
+
+def test_the_generated_files_are_up_to_date() -> None:
+    for path, content in parameter_docs.files():
+        assert (ROOT / path).read_text(encoding="utf-8") == content, path
+
+
+@pytest.mark.parametrize("node", SECTIONS)
+def test_an_example_gives_the_defaults(node: str) -> None:
+    path = ROOT / parameter_docs.EXAMPLES[node]
+    assert load_section(path, node, SECTIONS[node], required=True) == SECTIONS[node]()
+    given = yaml.safe_load(path.read_text())[f"/**/{node}"]["ros__parameters"]
+    names = [d.name for d in declarations(SECTIONS[node]) if d.default != ()]
+    found = []
+    for name in names:
+        values = given
+        for part in name.split("."):
+            values = values[part]
+        found.append(values)
+    assert len(found) == len(names)
+
+
+@pytest.mark.parametrize("value", [1e-05, 1.0, 1e22, 2.5e-13, -0.1, 3, True, "a b", (1e-09, 2.0)])
+def test_a_value_keeps_its_type_in_yaml(value: Any) -> None:
+    loaded = yaml.safe_load(parameter_docs.yaml_value(value))
+    assert loaded == (list(value) if isinstance(value, tuple) else value)
+    assert type(loaded) is (list if isinstance(value, tuple) else type(value))
+
+
+def test_the_shipped_configurations_are_valid() -> None:
+    for path in sorted((ROOT / "ros_insdvl" / "config").glob("*.yaml")):
+        for node, group in SECTIONS.items():
+            load_section(path, node, group)

@@ -1,0 +1,222 @@
+"""The replay node in a graph: what was recorded arrives unchanged; what cannot be played is named."""
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import TwistStamped
+from nav_msgs.msg import Odometry
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Imu
+
+from insdvl import bags
+from insdvl.bags import BagReader, BagWriter, encode
+from insdvl.events import NS
+from insdvl.parameters import ParameterError
+from ros_insdvl_sim.replay import Replay
+
+RELIABLE = QoSProfile(depth=2000, reliability=ReliabilityPolicy.RELIABLE)
+DEADLINE = 120.0  # s; far beyond what any of these waits takes
+START_NS = 1_700_000_000 * NS
+SIZE = 300
+STEP_NS = 10_000_000
+LATE = 120  # this sample is recorded after the next one
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    rng = np.random.default_rng(1)
+    path = tmp_path_factory.mktemp("bags") / "recording"
+    order = list(range(SIZE))
+    order[LATE], order[LATE + 1] = order[LATE + 1], order[LATE]
+    with BagWriter(path) as writer:
+        for k, sample in enumerate(order):
+            stamp_ns, time_ns = START_NS + sample * STEP_NS, 5 * NS + k * STEP_NS
+            message = bags.imu_message(stamp_ns, "imu", *rng.standard_normal((2, 3)))
+            writer.write(encode("/sensors/imu", time_ns, message))
+            if k % 100 == 50:
+                v = rng.standard_normal(3)
+                writer.write(encode("/dvl", time_ns + 1, bags.twist_message(stamp_ns, "dvl", v)))
+                message = bags.odometry_message(
+                    stamp_ns, ("odom", "base_link"), v, np.array([0.0, 0.0, 0.0, 1.0]), v, v
+                )
+                writer.write(encode("/truth", time_ns + 2, message))
+                message = bags.imu_message(stamp_ns, "imu", v, v, np.eye(3), np.eye(3))
+                writer.write(encode("/process_noise", time_ns + 3, message))
+                writer.write(encode("/other", time_ns + 4, bags.twist_message(stamp_ns, "x", v)))
+    return path
+
+
+class Graph:
+    """A node that listens, and the replay node; one executor turns both."""
+
+    def __init__(self) -> None:
+        self.context = Context()
+        self.context.init()
+        self.peer = Node("peer", context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.peer)
+        self.nodes: list[Node] = [self.peer]
+
+    def listen(
+        self, message_type: type[Any], topic: str, qos: QoSProfile = RELIABLE, raw: bool = True
+    ) -> list[Any]:
+        received: list[Any] = []
+        self.peer.create_subscription(message_type, topic, received.append, qos, raw=raw)
+        return received
+
+    def replay(self, **parameters: object) -> Replay:
+        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+        node = Replay(context=self.context, parameter_overrides=overrides)
+        self.nodes.append(node)
+        self.executor.add_node(node)
+        return node
+
+    def until(self, condition: Callable[[], bool]) -> None:
+        start = time.monotonic()
+        while not condition():
+            assert time.monotonic() - start < DEADLINE
+            self.executor.spin_once(timeout_sec=0.1)
+
+    def close(self) -> None:
+        self.executor.shutdown()
+        for node in self.nodes:
+            node.destroy_node()
+        self.context.shutdown()
+
+
+@pytest.fixture
+def graph() -> Iterator[Graph]:
+    graph = Graph()
+    yield graph
+    graph.close()
+
+
+def topics(bag: Path) -> dict[str, object]:
+    return {
+        "bag": str(bag),
+        "imu_topic": "/sensors/imu",
+        "dvl_topic": "/dvl",
+        "ground_truth_topic": "/truth",
+        "rate_factor": 100.0,
+    }
+
+
+def recorded(bag: Path, topic: str) -> list[bytes]:
+    with BagReader(bag) as reader:
+        return [raw.data for raw in reader.raw([topic])]
+
+
+def test_every_message_is_played_unchanged_and_in_order(
+    graph: Graph, bag: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    received = {
+        "/sensors/imu": graph.listen(Imu, "imu/data_raw"),
+        "/dvl": graph.listen(TwistStamped, "dvl/velocity"),
+        "/truth": graph.listen(Odometry, "ground_truth/odometry"),
+        "/process_noise": graph.listen(Imu, "process_noise", latched),
+    }
+    node = graph.replay(**topics(bag))
+    assert set(node.outputs) == {
+        "imu/data_raw", "dvl/velocity", "ground_truth/odometry", "process_noise"
+    }  # fmt: skip
+    graph.until(node.finished.done)
+    assert node.finished.result() == 0
+    expected = {topic: recorded(bag, topic) for topic in received}
+    graph.until(lambda: all(len(received[t]) >= len(expected[t]) for t in expected))
+    assert received == expected
+    assert len(expected["/sensors/imu"]) == SIZE
+    printed = capsys.readouterr().out
+    assert f"imu/data_raw {SIZE}" in printed
+    assert "dvl/velocity 3" in printed
+
+
+def test_the_pace_is_that_of_the_stamps_and_the_clock_never_runs_back(
+    graph: Graph, bag: Path
+) -> None:
+    arrivals: list[float] = []
+    graph.peer.create_subscription(
+        Imu, "imu/data_raw", lambda message: arrivals.append(time.monotonic()), RELIABLE
+    )
+    clock = graph.listen(Clock, "/clock", raw=False)
+    node = graph.replay(**(topics(bag) | {"rate_factor": 2.0}))
+    last_ns = START_NS + (SIZE - 1) * STEP_NS
+
+    def now_ns(message: Clock) -> int:
+        return message.clock.sec * NS + message.clock.nanosec
+
+    graph.until(lambda: node.finished.done() and bool(clock) and now_ns(clock[-1]) == last_ns)
+    duration = (SIZE - 1) * STEP_NS / NS / 2.0
+    assert arrivals[-1] - arrivals[0] > 0.9 * duration
+    times = [now_ns(message) for message in clock]
+    assert times == sorted(times)
+    assert times[0] >= START_NS
+    assert len(times) <= (arrivals[-1] - arrivals[0] + 1.0) / 0.02
+
+
+def test_without_a_rate_factor_there_is_no_clock(graph: Graph, bag: Path) -> None:
+    graph.listen(Imu, "imu/data_raw")
+    node = graph.replay(**(topics(bag) | {"rate_factor": 0.0}))
+    graph.until(lambda: node.outputs["imu/data_raw"].count > 0)
+    assert graph.peer.count_publishers("/clock") == 0
+
+
+def test_nothing_is_sent_before_the_consumers_are_there(graph: Graph, bag: Path) -> None:
+    first = graph.listen(Imu, "imu/data_raw")
+    node = graph.replay(**(topics(bag) | {"min_subscribers": 2}))
+    graph.until(lambda: node.outputs["imu/data_raw"].listeners == 1)
+    for _ in range(20):
+        graph.executor.spin_once(timeout_sec=0.1)
+    assert node.outputs["imu/data_raw"].count == 0
+    second = graph.listen(Imu, "imu/data_raw")
+    graph.until(lambda: len(first) == len(second) == SIZE)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "expected"),
+    [
+        ({"bag": ""}, "'bag': it is empty"),
+        ({"bag": "/absent"}, "'bag': recording /absent does not exist"),
+        ({"imu_topic": "/absent"}, "'/absent' is not in .*; it has /dvl, /other"),
+        ({"dvl_topic": "/truth"}, "/truth .* has type nav_msgs/msg/Odometry, expected"),
+        ({"rate_factor": -1.0}, "'rate_factor' must be"),
+        ({"rate_factr": 1.0}, "'rate_factr'"),
+    ],
+)
+def test_what_cannot_be_played_is_named(
+    graph: Graph, bag: Path, parameters: dict[str, object], expected: str
+) -> None:
+    with pytest.raises(ParameterError, match=expected):
+        graph.replay(**(topics(bag) | parameters))
+    assert graph.peer.count_publishers("imu/data_raw") == 0
+
+
+def test_a_damaged_recording_ends_the_process_before_it_publishes(
+    bag: Path, tmp_path: Path
+) -> None:
+    damaged = tmp_path / "damaged.mcap"
+    whole = next(bag.glob("*.mcap")).read_bytes()
+    damaged.write_bytes(whole[: len(whole) // 2])
+    arguments = ["--ros-args", "-p", f"bag:={damaged}"]
+    result = subprocess.run(
+        [sys.executable, "-m", "ros_insdvl_sim.replay", *arguments],
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE,
+        check=False,
+    )
+    assert result.returncode == 2
+    assert "parameter 'bag'" in result.stderr
+    assert "damaged.mcap" in result.stderr
+    assert "Traceback" not in result.stderr
