@@ -282,7 +282,7 @@ def test_waits_for_its_subscribers(graph):
 
 def test_refuses_to_start_beside_another_publisher(graph, capsys):
     graph.peer.create_publisher(Imu, "imu/data_raw", RELIABLE)
-    node = graph.simulator(**FAST, exclusive_wait=DEADLINE)
+    node = graph.simulator(**FAST, exclusive_wait=60.0)
     graph.until(node.finished.done)
     assert node.finished.result() == 1
     assert "/auv/imu/data_raw already has a publisher" in capsys.readouterr().err
