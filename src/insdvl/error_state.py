@@ -200,7 +200,8 @@ def propagate(P: Array, w: Workspace) -> None:
         for j in range(_P, i + 1):
             _set_symmetric(P, i, j, _combination(A, i, w.Phi_T, j) + A[i, j] + 0.5 * Q_d[i, j])
     for i in range(_F, _P):
-        P[i, i] += 0.5 * Q_d[i, i]
+        for j in range(_F, _P):
+            P[i, j] += 0.5 * Q_d[i, j]
 
 
 @kernel

@@ -97,8 +97,15 @@ class Initial:
 
     def payload(self) -> bytes:
         """What tells two events of one stamp apart."""
-        covariances = [P.tobytes() for P in (self.P_v, self.P_psi, self.P_p) if P is not None]
-        return b"".join([self.C_n_b.tobytes(), self.p_n.tobytes(), self.v.tobytes(), *covariances])
+        covariances = (self.P_v, self.P_psi, self.P_p)
+        return b"".join(
+            [
+                *(array.tobytes() for array in (self.C_n_b, self.p_n, self.v)),
+                *(b"-" if P is None else P.tobytes() for P in covariances),
+                self.velocity_frame.encode(),
+                bytes([self.once]),
+            ]
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -96,6 +96,8 @@ def _advance(
 
     error_state.dynamics(w, c)
     error_state.discretise(w, c, dt)
+    if s.Q_x.shape[0] > 0:
+        w.Q_d[:] = 0.0  # Q_x fills elements that input_noise leaves alone
     error_state.input_noise(s, w, c, Q_f, Q_w, dt)
     if adaptive:
         if c.literal:
@@ -255,12 +257,13 @@ class Filter:
         parameters = self.parameters.initial
         C, l_b = initial.C_n_b, self.l_b_imu
         in_body = initial.velocity_frame == "body"
-        v_n = (C @ initial.v if in_body else initial.v) + C @ np.cross(w_ib_b, l_b)
-        s["C_n_b"], s["v_n"], s["p_n"] = C, v_n, initial.p_n + C @ l_b
         s["b_f"] = self.C_b_i @ self._body_axes(parameters.accelerometer_bias)
         s["b_w"] = self.C_b_i @ self._body_axes(parameters.gyroscope_bias)
         s["b_d"] = 0.0
         s["w_nb_b"] = w_ib_b - s["b_w"]
+        v_arm = C @ np.cross(s["w_nb_b"], l_b)  # of the IMU against base_link
+        v_n = (C @ initial.v if in_body else initial.v) + v_arm
+        s["C_n_b"], s["v_n"], s["p_n"] = C, v_n, initial.p_n + C @ l_b
 
         P = np.zeros((self.n, self.n))
         P[VELOCITY, VELOCITY] = _or_isotropic(initial.P_v, parameters.velocity_std)
@@ -276,9 +279,17 @@ class Filter:
         T = error_state.from_ordinary_errors(
             C, v_n, invariant=self.invariant, velocity_frame=initial.velocity_frame, n=self.n
         )
-        T[POSITION, ATTITUDE] = -error_state.cross_matrix(C @ l_b)  # from base_link to the IMU
+        # From base_link to the IMU: its arm turns with the attitude, at the rate of a noisy sample.
+        T[POSITION, ATTITUDE] = -error_state.cross_matrix(C @ l_b)
+        if not in_body:
+            T[VELOCITY, ATTITUDE] -= error_state.cross_matrix(v_arm)
+        T[VELOCITY, GYROSCOPE_BIAS] = C @ error_state.cross_matrix(l_b)
         P = T @ P @ T.T
+        arm_rate = T[VELOCITY, GYROSCOPE_BIAS]
+        P[VELOCITY, VELOCITY] += arm_rate @ self.sample_variance_w(s) @ arm_rate.T
         s["P"] = (P + P.T) / 2
+        if s["imu_ns"] == NEVER:
+            s["imu_ns"] = stamp_ns  # samples are missing from here on: a long wait is a gap
         s["time_ns"], s["initialised"] = stamp_ns, 1
         s["rejections"], s["innovation_count"], s["Q_x"] = 0, 0, 0.0
 
