@@ -1,4 +1,4 @@
-"""The replay node in a graph: what was recorded arrives unchanged; what cannot be played is named."""
+"""The replay node in a graph: what was recorded arrives unchanged, what cannot is named."""
 
 import subprocess
 import sys
