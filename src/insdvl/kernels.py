@@ -8,6 +8,7 @@ numba checks a cached function against its own source file only, not against the
 functions that it calls. The cache folder's name therefore carries a digest of the whole package.
 """
 
+import contextlib
 import hashlib
 import os
 import sys
@@ -28,8 +29,14 @@ class CacheWarning(UserWarning):
     """The compiled functions cannot be kept on disk; they work, but start slowly."""
 
 
-@cache
+_warned: list[str] = []
+
+
 def _warn_once(reason: str) -> None:
+    """Warn, but once in a program: the second trouble mostly follows from the first."""
+    _warned.append(reason)
+    if len(_warned) > 1:
+        return
     warnings.warn(
         f"compiled functions are not cached ({reason}); set INSDVL_CACHE_DIR to a writable folder",
         CacheWarning,
@@ -86,6 +93,8 @@ class _ForgivingCache(FunctionCache):  # type: ignore[misc]
             return super().load_overload(sig, target_context)
         except Exception as error:  # a damaged file raises whatever its bytes make pickle raise
             _warn_once(f"damaged cache: {error!r}")
+            with contextlib.suppress(OSError):  # saving then meets the same trouble
+                self.flush()  # else a damaged index stays damaged for ever
             return None
 
     def save_overload(self, sig: Any, data: Any) -> None:

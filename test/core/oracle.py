@@ -207,7 +207,9 @@ def interval_mean(stamps_ns, samples, end_ns, length_ns):
     t = (stamps_ns - stamps_ns[0]) / NS
     integral = np.vstack([np.zeros(3), np.cumsum(samples[1:] * np.diff(t)[:, None], axis=0)])
     end, start = (end_ns - stamps_ns[0]) / NS, (end_ns - length_ns - stamps_ns[0]) / NS
-    total = [np.interp(end, t, integral[:, i]) - np.interp(start, t, integral[:, i]) for i in range(3)]
+    total = [
+        np.interp(end, t, integral[:, i]) - np.interp(start, t, integral[:, i]) for i in range(3)
+    ]
     count = np.count_nonzero((stamps_ns[1:] > end_ns - length_ns) & (stamps_ns[:-1] < end_ns))
     return np.array(total) / (length_ns / NS), count
 
@@ -248,6 +250,9 @@ def run(dense, stamps_ns, f_b, w_ib_b, events, average_ns, density, rate):
         step(stamp, k)
         apply_until(stamp, k)
         states.append(
-            [x.copy() for x in (dense.C, dense.v, dense.p, dense.b_f, dense.b_w, dense.b_d, dense.P)]
+            [
+                x.copy()
+                for x in (dense.C, dense.v, dense.p, dense.b_f, dense.b_w, dense.b_d, dense.P)
+            ]
         )
     return states, reports

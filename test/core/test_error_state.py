@@ -208,7 +208,9 @@ def test_transition_is_of_second_order(model):
 def test_transition_of_the_dvl_error():
     case, dt = Case("invariant", 0, bias_model="gauss_markov"), 0.05
     _, Phi = case.model(dt)
-    np.testing.assert_allclose(Phi[DVL_ERROR, DVL_ERROR], np.exp(-dt / 10.0) * np.eye(3), atol=1e-15)
+    np.testing.assert_allclose(
+        Phi[DVL_ERROR, DVL_ERROR], np.exp(-dt / 10.0) * np.eye(3), atol=1e-15
+    )
     assert not Phi[:15, DVL_ERROR].any()
     assert not Phi[DVL_ERROR, :15].any()
 
@@ -216,7 +218,7 @@ def test_transition_of_the_dvl_error():
 @pytest.mark.parametrize("bias_model", ["none", "gauss_markov"])
 @pytest.mark.parametrize("seed", range(5))
 def test_measurement(model, seed, bias_model):
-    """H is the derivative of h but for the transport rate's in w_nb, 1e-7 per metre of lever arm."""
+    """H is the derivative of h, but for the transport rate in w_nb: 1e-7 per metre of arm."""
     case = Case(model, seed, bias_model=bias_model)
     measured = -case.jacobian(lambda x: case.innovation(case.plus(case.nominal, x), np.zeros(3)))
     case.innovation(case.nominal, np.zeros(3))
@@ -334,7 +336,7 @@ def test_injection_moves_by_the_error(model):
 
 @pytest.mark.parametrize("velocity_frame", ["body", "nav"])
 def test_initial_errors_to_those_of_the_model(model, velocity_frame):
-    """The true state with an error in the declared velocity, measured in the model's coordinates."""
+    """A true state with an error in the declared velocity, in the model's coordinates."""
     case = Case(model, 8)
     C_n_b, v_n = case.nominal["C_n_b"], case.nominal["v_n"]
 

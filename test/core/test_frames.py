@@ -78,7 +78,9 @@ def test_rpy_is_yaw_times_pitch_times_roll():
         * Rotation.from_rotvec([0.0, pitch, 0.0])
         * Rotation.from_rotvec([roll, 0.0, 0.0])
     ).as_matrix()
-    np.testing.assert_allclose(rotation_from_rpy(np.array([roll, pitch, yaw])), expected, atol=1e-15)
+    np.testing.assert_allclose(
+        rotation_from_rpy(np.array([roll, pitch, yaw])), expected, atol=1e-15
+    )
 
 
 def test_rpy_round_trip():

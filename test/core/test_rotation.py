@@ -43,7 +43,8 @@ def test_exponential_does_not_jump_where_the_series_ends():
 
 def test_vector_and_matrix_products():
     rng = np.random.default_rng(21)
-    A, B, x, y = rng.standard_normal((3, 3)), rng.standard_normal((3, 3)), *rng.standard_normal((2, 3))
+    A, B = rng.standard_normal((2, 3, 3))
+    x, y = rng.standard_normal((2, 3))
     vector, matrix = np.full(3, np.nan), np.full((3, 3), np.nan)
     for kernel, arguments, expected in [
         (rotation.rotate, (A, x), A @ x),

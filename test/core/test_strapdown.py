@@ -4,7 +4,6 @@ import dataclasses
 
 import numpy as np
 import pandas as pd
-import pytest
 from oracle import skew, wgs84
 from pyins import strapdown as pyins_strapdown
 from pyins import transform
@@ -43,7 +42,7 @@ def filter_on(trajectory):
 
 
 def navigate(filter_, C_n_b, v_n, f_b, w_ib_b, dt, visit, chunk=1000):
-    """Predict from p = 0 over the samples; ``visit(first, states)`` sees the states of each chunk."""
+    """Predict from p = 0 over the samples; ``visit(first, states)`` sees each chunk of states."""
     state = filter_.start()
     s = state[0]
     s["C_n_b"], s["v_n"], s["p_n"] = C_n_b, v_n, 0.0
@@ -203,7 +202,7 @@ def pyins_navigation(trajectory, t, f_b, w_ib_b, dt):
 
 
 def test_against_python_ins_on_the_auv_mission():
-    """Same readings, two programs. python-ins corrects for coning, so the readings are at 200 Hz."""
+    """Same readings, two programs. python-ins corrects for coning: readings are at 200 Hz."""
     dt = 0.005
     trajectory = dataclasses.replace(AUV, h_0=0.0)  # their gravity gradient leaves out flattening
     t = np.arange(1, round(330 / dt) + 1) * dt

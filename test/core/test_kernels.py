@@ -1,0 +1,179 @@
+"""The cache of the compiled functions never stops a program, whatever is in it."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import insdvl
+
+PROGRAM = """
+import sys, warnings
+{before}
+with warnings.catch_warnings(record=True) as caught:
+    warnings.simplefilter("always")
+    from insdvl import kernels
+    from kernel_of_test import add
+    result = add(1.0, 2.0)
+    kernels.kernel(add.py_func)  # a second function is no second warning
+print(result)
+print(kernels.cache_dir())
+print(sum(add.stats.cache_hits.values()))
+for warning in caught:
+    if warning.category is kernels.CacheWarning:
+        print(warning.message)
+"""
+
+KERNEL = """
+from insdvl.kernels import kernel
+
+@kernel
+def add(a, b):
+    return a + b
+"""
+
+
+class Outcome:
+    def __init__(self, output):
+        result, folder, hits, *self.warnings = output.splitlines()
+        assert float(result) == 3.0
+        self.folder = None if folder == "None" else Path(folder)
+        self.hits = int(hits)
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Compile and call a function in a new interpreter, with a home and a cache of its own."""
+    module = tmp_path / "module"
+    module.mkdir()
+    (module / "kernel_of_test.py").write_text(KERNEL)
+    home = tmp_path / "home"
+    home.mkdir()
+
+    def run(before="", **variables):
+        environment = {
+            name: value
+            for name, value in os.environ.items()
+            if name not in ("INSDVL_CACHE_DIR", "XDG_CACHE_HOME", "HOME")
+        }
+        package = Path(insdvl.__file__).parents[1]
+        environment["PYTHONPATH"] = os.pathsep.join(
+            [str(module), str(package), environment.get("PYTHONPATH", "")]
+        )
+        environment |= {"HOME": str(home), **{k: str(v) for k, v in variables.items()}}
+        done = subprocess.run(
+            [sys.executable, "-c", PROGRAM.format(before=before)],
+            env={name: value for name, value in environment.items() if value != "None"},
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 0, done.stderr
+        return Outcome(done.stdout)
+
+    return run
+
+
+def files(folder):
+    return [path for path in folder.rglob("*.nb[ic]") if "kernel_of_test" in path.name]
+
+
+def test_named_folder_first_and_the_second_program_reads_from_it(run, tmp_path):
+    cache = tmp_path / "cache" / "deep"
+    first = run(INSDVL_CACHE_DIR=cache)
+    assert first.folder.parent == cache
+    assert not first.warnings
+    assert not list((tmp_path / "home").rglob("*"))
+    assert {path.suffix for path in files(cache)} == {".nbi", ".nbc"}
+    assert first.hits == 0
+    assert run(INSDVL_CACHE_DIR=cache).hits == 1
+
+
+def test_users_folder_otherwise(run, tmp_path):
+    outcome = run()
+    assert outcome.folder.parent == tmp_path / "home" / ".cache" / "insdvl"
+    assert files(outcome.folder)
+    assert not outcome.warnings
+
+
+def test_xdg_folder(run, tmp_path):
+    outcome = run(XDG_CACHE_HOME=tmp_path / "xdg")
+    assert outcome.folder.parent == tmp_path / "xdg" / "insdvl"
+    assert not outcome.warnings
+
+
+def test_users_folder_where_the_named_one_cannot_be_written(run, tmp_path):
+    (tmp_path / "file").write_text("")
+    outcome = run(INSDVL_CACHE_DIR=tmp_path / "file")
+    assert outcome.folder.parent == tmp_path / "home" / ".cache" / "insdvl"
+
+
+def test_no_folder_is_one_warning(run):
+    """Below a device nobody can make a folder, root included."""
+    outcome = run(INSDVL_CACHE_DIR="/dev/null/named", HOME="/dev/null")
+    assert outcome.folder is None
+    (warning,) = outcome.warnings
+    assert "not cached" in warning
+    assert "INSDVL_CACHE_DIR" in warning
+
+
+def test_home_unset_and_the_user_unknown(run):
+    unknown = "import pwd; pwd.getpwuid = lambda uid: {}[uid]"
+    outcome = run(unknown, HOME=None)
+    assert outcome.folder is None
+    (warning,) = outcome.warnings
+    assert "no home folder" in warning
+
+
+def test_home_unset_with_a_named_folder(run, tmp_path):
+    outcome = run(HOME=None, INSDVL_CACHE_DIR=tmp_path / "cache")
+    assert outcome.folder.parent == tmp_path / "cache"
+    assert not outcome.warnings
+
+
+def test_damaged_files(run, tmp_path):
+    """One warning, the function compiles again, and the next program finds the cache mended."""
+    cache = tmp_path / "cache"
+    run(INSDVL_CACHE_DIR=cache)
+    contents = {path: path.read_bytes() for path in files(cache)}
+    for damaged, content in contents.items():
+        for damage in (b"\x80\x04garbage" * 50, content[: len(content) // 2]):
+            for path in contents:
+                path.write_bytes(contents[path])
+            damaged.write_bytes(damage)
+            outcome = run(INSDVL_CACHE_DIR=cache)
+            assert outcome.hits == 0
+            (warning,) = outcome.warnings
+            assert "damaged cache" in warning
+            mended = run(INSDVL_CACHE_DIR=cache)
+            assert mended.hits == 1
+            assert not mended.warnings
+    assert len(contents) == 2
+
+
+def test_folder_that_vanishes_before_the_first_call(run, tmp_path):
+    """A folder replaced by a file after it was chosen: one warning, and the right result."""
+    cache = tmp_path / "cache"
+    before = (
+        "import shutil; from insdvl import kernels; folder = kernels.cache_dir(); "
+        "import kernel_of_test; shutil.rmtree(folder); folder.write_text('')"
+    )
+    outcome = run(before, INSDVL_CACHE_DIR=cache)
+    (warning,) = outcome.warnings
+    assert "not cached" in warning
+
+
+def test_another_source_is_another_folder(run, tmp_path):
+    """numba looks at the source of the function alone, not at what it calls."""
+    outcome = run(INSDVL_CACHE_DIR=tmp_path / "cache")
+    copy = tmp_path / "copy"
+    package = Path(insdvl.__file__).parent
+    (copy / "insdvl").mkdir(parents=True)
+    for name in ("__init__.py", "kernels.py"):
+        (copy / "insdvl" / name).write_bytes((package / name).read_bytes())
+    (copy / "insdvl" / "kernels.py").open("a").write("\n# another\n")
+    other = run(f"sys.path.insert(0, {str(copy)!r})", INSDVL_CACHE_DIR=tmp_path / "cache")
+    assert other.folder != outcome.folder
+    assert other.folder.parent == outcome.folder.parent
