@@ -44,7 +44,8 @@ def matrix(rpy):
 
 def parameters_of(model, convention, bias_model, *, rate=100.0, arms=True, **changes):
     start = TRAJECTORY.truth([0.0])
-    roll_pitch_yaw = (*Rotation.from_matrix(start.C_n_b[0]).as_euler("xyz"), 0.004, -0.006, 0.02)
+    roll_pitch_yaw = Rotation.from_matrix(start.C_n_b[0]).as_euler("xyz")
+    roll_pitch_yaw += (0.004, -0.006, 0.02)
     values = {
         "frame_convention": "ned",
         "error_state": model,
@@ -294,7 +295,7 @@ def test_a_million_steps(model, bias_model):
     for k in range(rounds):
         stamps_ns = k * 10 * NS + steps_ns
         filter_.predict_samples(state, stamps_ns, f_b, w_ib_b, 0, chunk, states)
-        v_d = (*rng.normal(0.0, 0.05, 3), 1.0, 0.0, 0.0)
+        v_d = rng.normal((1.0, 0.0, 0.0), 0.05)
         filter_.update(state, Dvl(int(stamps_ns[-1]), v_d), w_ib_b[-25:].mean(axis=0), 25)
     s = state[0]
     for name in ("C_n_b", "v_n", "p_n", "P"):
