@@ -206,7 +206,7 @@ def test_a_wrong_restart_is_left_again() -> None:
 
 def test_a_disabled_gate_accepts_everything() -> None:
     m = mission(duration=10.0)
-    result = fly(parameters(enabled=False), m, m.v_d + [50.0, 0.0, 0.0])
+    result = fly(parameters(enabled=False), m, m.v_d + np.array([50.0, 0.0, 0.0]))
     assert all(u.report.accepted for u in result.updates)
     assert result.updates[0].report.nis > 1e3
 

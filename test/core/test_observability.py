@@ -7,9 +7,9 @@ gyroscope finds the heading; how fast is computed here a second time, by batch l
 
 import numpy as np
 import pytest
+from reset import apply_it_after_every_update, reset_jacobian
 from scipy.linalg import block_diag, expm, solveh_banded
 
-import insdvl.filter
 from insdvl.error_state import ACCELEROMETER_BIAS, ATTITUDE, GYROSCOPE_BIAS, VELOCITY, cross_matrix
 from insdvl.events import Dvl, Initial
 from insdvl.fold import FoldResult, run
@@ -92,19 +92,6 @@ def noisy_fly(m: Mission, error_state: str, earth_rate: bool) -> FoldResult:
     )
 
 
-def reset_jacobian(dx: np.ndarray, invariant: bool) -> np.ndarray:
-    """What the filter leaves out: the partial of the error after the injection of dx.
-
-    exp(psi+) = exp(psi) exp(-dpsi) gives I + [dpsi x] / 2 for the attitude, and
-    v_true - exp(psi+) v = dv - exp(psi+) ddv gives [ddv x] for the velocity of `invariant`.
-    """
-    G = np.eye(len(dx))
-    G[ATTITUDE, ATTITUDE] += cross_matrix(dx[ATTITUDE]) / 2
-    if invariant:
-        G[VELOCITY, ATTITUDE] = cross_matrix(dx[VELOCITY])
-    return G
-
-
 @pytest.mark.parametrize("error_state", ["invariant", "ned"])
 def test_the_covariance_after_an_update_is_josephs_form_and_nothing_else(error_state: str) -> None:
     invariant = error_state == "invariant"
@@ -143,7 +130,7 @@ def test_the_covariance_after_an_update_is_josephs_form_and_nothing_else(error_s
     scale = np.sqrt(np.outer(np.diag(joseph), np.diag(joseph)))
     np.testing.assert_allclose(report.S, S, rtol=1e-6, atol=1e-9)
     assert np.abs((after["P"] - joseph) / scale).max() < 1e-7
-    G = reset_jacobian(dx, invariant)
+    G = reset_jacobian(dx, invariant=invariant)
     assert np.abs((G @ joseph @ G.T - joseph) / scale).max() > 1e-4  # it could have been seen
 
 
@@ -155,15 +142,7 @@ def test_without_earth_rate_a_straight_run_never_tells_the_heading() -> None:
 
 def test_a_reset_jacobian_would_tell_it_wrongly(monkeypatch: pytest.MonkeyPatch) -> None:
     """The same run with the Jacobian that is left out: the covariance of the heading shrinks."""
-    correct = insdvl.filter._correct
-
-    def with_reset(state, workspace, constants, R):  # type: ignore[no-untyped-def]
-        K, innovation = workspace[0]["K"].copy(), workspace[0]["innovation"].copy()
-        correct(state, workspace, constants, R)
-        G = reset_jacobian(K @ innovation, invariant=True)
-        state[0]["P"] = G @ state[0]["P"] @ G.T
-
-    monkeypatch.setattr(insdvl.filter, "_correct", with_reset)
+    apply_it_after_every_update(monkeypatch)
     m = noisy_straight_run(earth_rate=False)
     variance = heading_variance(noisy_fly(m, "invariant", earth_rate=False))
     assert variance.min() < np.radians(10.0) ** 2 * 0.99

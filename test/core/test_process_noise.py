@@ -75,7 +75,7 @@ def at_rest(
 @pytest.mark.parametrize("convention", ["per_sample", "density"])
 @pytest.mark.parametrize("rate", [50.0, 100.0, 200.0])
 def test_a_step_adds_the_density_times_its_length(convention: str, rate: float) -> None:
-    """The density is q / imu.rate, or q itself; the rate of the samples that come does not enter."""
+    """The density is q / imu.rate, or q itself, whatever the rate of the samples that come."""
     settings = parameters(convention=convention)
     s = at_rest(settings, 2, [], rate).states[1]
     density = 1.0 / RATE if convention == "per_sample" else 1.0
