@@ -1,7 +1,7 @@
 """What the simulator and the replay share: a node that plays messages at the pace of their stamps.
 
-Messages are sent from a thread of their own, by the steady clock. A player that was held up catches
-up: it never skips a message, and no error of the pace accumulates.
+Messages are sent from a thread of their own, by the steady clock. A player that was held up for a
+moment catches up; one that is too slow for its pace falls behind it, and never skips a message.
 """
 
 import math
@@ -23,6 +23,7 @@ _Group = TypeVar("_Group")
 
 CLOCK_PERIOD = 0.02  # s of the steady clock between messages on /clock
 SETTLE_TIME = 1.0  # s without a new subscription after which all have been discovered
+MAX_LAG = 0.1  # s behind the pace that is caught up
 ACKNOWLEDGE_TIME = 30.0  # s to wait for the last messages to arrive
 
 
@@ -107,7 +108,10 @@ class Player(InsdvlNode[_Group]):
             if time_ns != now_ns:
                 now_ns = time_ns
                 due = start + (now_ns - start_ns) / NS / self._rate
-                if self._stop.wait(max(due - time.monotonic(), 0.0)):
+                lag = time.monotonic() - due
+                if lag > MAX_LAG:  # a burst to catch up would overrun the consumers' queues
+                    start += lag - MAX_LAG
+                if self._stop.wait(max(-lag, 0.0)):
                     return False
                 if time.monotonic() - last_clock >= CLOCK_PERIOD:
                     last_clock = time.monotonic()
