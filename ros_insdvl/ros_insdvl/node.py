@@ -12,7 +12,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
-from rclpy.exceptions import InvalidParameterTypeException
+from rclpy.exceptions import InvalidHandle, InvalidParameterTypeException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import (
@@ -31,6 +31,9 @@ from insdvl.parameters import ParameterError
 from ros_insdvl.parameters import declare
 
 _Group = TypeVar("_Group")
+
+#: Messages of a topic that a node handles before it looks at its other topics.
+TURN = 20
 
 OK = DiagnosticStatus.OK
 WARN = DiagnosticStatus.WARN
@@ -168,19 +171,39 @@ class InsdvlNode(Node, Generic[_Group]):
         """A counted subscription; its quality of service is `sensor_qos` unless given.
 
         A `RejectedMessage` from the callback is counted by its reason.
+
+        The executor spends more on finding out which topic has a message than a node on the
+        message. So a turn takes all that wait, up to `TURN`; only a node that is behind notices.
         """
         self.received[topic] = 0
 
-        def receive(message: Any) -> None:
+        def handle(message: Any) -> None:
             self.received[topic] += 1
             try:
                 callback(message)
             except RejectedMessage as rejection:
                 self.reject(topic, rejection.reason, str(rejection))
 
-        return self.create_subscription(
-            message_type, topic, receive, qos or sensor_qos(), qos_overriding_options=_overridable()
+        def take_turn(message: Any) -> None:
+            handle(message)
+            for _ in range(TURN - 1):
+                try:
+                    with subscription.handle:
+                        taken = subscription.handle.take_message(message_type, False)
+                except InvalidHandle:  # the callback has ended the subscription
+                    return
+                if taken is None:
+                    return
+                handle(taken[0])
+
+        subscription = self.create_subscription(
+            message_type,
+            topic,
+            take_turn,
+            qos or sensor_qos(),
+            qos_overriding_options=_overridable(),
         )
+        return subscription
 
     def reject(self, topic: str, reason: str, detail: str) -> None:
         """Count a message that is not used; the first of each reason is logged."""

@@ -54,8 +54,8 @@ FILTERS = ("/constant", "/learned")
 
 #: Speed against real time on two unloaded cores of the reference machine, and the time that it
 #: takes there to serialise and deserialise an odometry message.
-FULL_SPEED = 8.0
-REFERENCE_MESSAGE_TIME = 60e-6  # s
+FULL_SPEED = 7.5
+REFERENCE_MESSAGE_TIME = 100e-6  # s
 
 START_TIME = 300.0  # s for all nodes to be there; without a cache they first compile
 QUIET_TIME = 6.0  # s without any new message after which the rest is lost
