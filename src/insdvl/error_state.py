@@ -23,7 +23,7 @@ from insdvl.rotation import (
     skew,
 )
 from insdvl.state import Constants, State, Workspace
-from insdvl.strapdown import earth_terms, navigation_rate
+from insdvl.strapdown import turn_rate
 
 Array = NDArray[np.float64]
 
@@ -258,11 +258,9 @@ def dvl_measurement(s: State, w: Workspace, c: Constants, v_d: Array, w_ib_b: Ar
     H, l_x, M, N = w.H, w.M1, w.M2, w.M3
     n = H.shape[1]
     w_nb, v_b, v_l = w.x1, w.x2, w.x3
-    earth_terms(s, w, c)
-    navigation_rate(w, s.v_n)
-    rotate_back(w_nb, s.C_n_b, w.w_in_n)
     for i in range(3):
-        w_nb[i] = w_ib_b[i] - s.b_w[i] - w_nb[i]
+        w.x2[i] = w_ib_b[i] - s.b_w[i]
+    turn_rate(w_nb, s, w, c, w.x2)
     rotate_back(v_b, s.C_n_b, s.v_n)
     cross(v_l, w_nb, c.l_b)
     for i in range(3):

@@ -150,6 +150,12 @@ def _predict_samples(
 
 
 @kernel
+def _set_turn_rate(state: Records, workspace: Records, constants: Records, w_ib_b: Array) -> None:
+    s = state[0]
+    strapdown.turn_rate(s.w_nb_b, s, workspace[0], constants[0], w_ib_b)
+
+
+@kernel
 def _innovate(
     state: Records, workspace: Records, constants: Records, v_d: Array, w_ib_b: Array, R: Array
 ) -> float:
@@ -250,20 +256,26 @@ class Filter:
     def initialise(self, state: Records, initial: Initial, stamp_ns: int, w_ib_b: Array) -> None:
         """The state becomes `initial`, its covariance P_0 mapped to the model's coordinates.
 
+        Without an origin there is no gravity to navigate with: it is counted and left.
+
         Args:
             w_ib_b: (3,) angular rate at that time [rad/s], base_link axes, for the IMU's lever arm.
         """
         s = state[0]
+        if np.isnan(s["lat_0"]):
+            s["without_origin"] += 1
+            return
         parameters = self.parameters.initial
         C, l_b = initial.C_n_b, self.l_b_imu
         in_body = initial.velocity_frame == "body"
         s["b_f"] = self.C_b_i @ self._body_axes(parameters.accelerometer_bias)
         s["b_w"] = self.C_b_i @ self._body_axes(parameters.gyroscope_bias)
         s["b_d"] = 0.0
-        s["w_nb_b"] = w_ib_b - s["b_w"]
+        s["C_n_b"], s["p_n"] = C, initial.p_n + C @ l_b
+        s["v_n"] = C @ initial.v if in_body else initial.v
+        _set_turn_rate(state, self._workspace, self.constants, w_ib_b - s["b_w"])
         v_arm = C @ np.cross(s["w_nb_b"], l_b)  # of the IMU against base_link
-        v_n = (C @ initial.v if in_body else initial.v) + v_arm
-        s["C_n_b"], s["v_n"], s["p_n"] = C, v_n, initial.p_n + C @ l_b
+        s["v_n"] += v_arm
 
         P = np.zeros((self.n, self.n))
         P[VELOCITY, VELOCITY] = _or_isotropic(initial.P_v, parameters.velocity_std)
@@ -277,7 +289,7 @@ class Filter:
         if self.n > POSITION.stop:
             P[DVL_ERROR, DVL_ERROR] = np.eye(3) * self.parameters.dvl.bias_std**2
         T = error_state.from_ordinary_errors(
-            C, v_n, invariant=self.invariant, velocity_frame=initial.velocity_frame, n=self.n
+            C, s["v_n"], invariant=self.invariant, velocity_frame=initial.velocity_frame, n=self.n
         )
         # From base_link to the IMU: its arm turns with the attitude, at the rate of a noisy sample.
         T[POSITION, ATTITUDE] = -error_state.cross_matrix(C @ l_b)

@@ -230,7 +230,7 @@ class Fold:
         oldest_ns = self.newest_ns - self._max_delay_ns
         reach_ns = min(oldest_ns, self._published_ns) - self._gyro_average_ns
         drop = max(int(np.searchsorted(self._stamps[: self._count], reach_ns)) - 2, 0)
-        if drop < self._count // 2:  # the buffer is too small for the delays: double it
+        if drop < max(self._count // 2, 1):  # the buffer is too small for the delays: double it
             self._grow(2 * self._stamps.size)
             return 0
         self._start[0] = self._states[drop - 1]
@@ -280,8 +280,9 @@ class Fold:
         entries = self._entries
         stamp_ns, f_b, w_ib_b = int(self._stamps[k]), self._f_b[k], self._w_ib_b[k]
         while e < len(entries) and entries[e].event.stamp_ns < stamp_ns:
-            if state[0]["initialised"]:
-                self.filter.predict_part(state, stamp_ns, f_b, w_ib_b, entries[e].event.stamp_ns)
+            event = entries[e].event
+            if state[0]["initialised"] and not (isinstance(event, Initial) and event.once):
+                self.filter.predict_part(state, stamp_ns, f_b, w_ib_b, event.stamp_ns)
             self._apply(state, entries[e], k)
             e += 1
         if state[0]["initialised"]:

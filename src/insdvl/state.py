@@ -75,13 +75,14 @@ def state_type(n: int, window: int) -> np.dtype[np.void]:
             ("floors", "i8"),
             ("inflations", "i8"),
             ("restarts", "i8"),
+            ("without_origin", "i8"),
         ],
         align=True,
     )
 
 
 #: Counters in the state record, by their names in diagnostics.
-COUNTERS = ("gaps", "q_timeouts", "floors", "inflations", "restarts")
+COUNTERS = ("gaps", "q_timeouts", "floors", "inflations", "restarts", "without_origin")
 
 
 def empty_state(n: int, window: int) -> NDArray[np.void]:

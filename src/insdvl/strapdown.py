@@ -46,6 +46,23 @@ def navigation_rate(w: Workspace, v_n: np.ndarray) -> None:
 
 
 @kernel
+def turn_rate(
+    w_nb_b: np.ndarray, s: State, w: Workspace, c: Constants, w_ib_b: np.ndarray
+) -> None:
+    """w_nb_b = w_ib_b - C_b_n w_in_n at the state, whose w_in_n stays in the workspace.
+
+    Args:
+        w_nb_b: (3,) result [rad/s].
+        w_ib_b: (3,) angular rate [rad/s], bias removed, base_link axes.
+    """
+    earth_terms(s, w, c)
+    navigation_rate(w, s.v_n)
+    rotate_back(w_nb_b, s.C_n_b, w.w_in_n)
+    for i in range(3):
+        w_nb_b[i] = w_ib_b[i] - w_nb_b[i]
+
+
+@kernel
 def acceleration(w: Workspace, v_n: np.ndarray, a_n: np.ndarray) -> None:
     """a_n = f_n + g_n - (2 w_ie_n + w_en_n) x v_n, with what is in the workspace."""
     for i in range(3):

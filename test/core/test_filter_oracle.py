@@ -100,9 +100,11 @@ def dense_filter(parameters, w_ib_b):
         dvl_time_constant=parameters.dvl.bias_time_constant,
         gate_probability=parameters.gate.probability,
     )
-    # The arm moves at the rate of the first sample, with its bias and noise; the Earth rate in it
-    # is far below that.
-    dense.v = C @ (initial.velocity + np.cross(w_ib_b, l_imu))
+    # The arm moves at the rate of the first sample, with its bias and noise.
+    dense.v = C @ np.array(initial.velocity)
+    _, w_ie, W_v = dense.earth()
+    w_nb = w_ib_b - C.T @ (w_ie + W_v @ dense.v)
+    dense.v = dense.v + C @ np.cross(w_nb, l_imu)
     sigmas = np.concatenate(
         [
             np.full(3, initial.velocity_std),

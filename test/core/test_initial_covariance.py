@@ -143,6 +143,7 @@ def test_initial_values_are_used() -> None:
     mount = (0.3, -0.2, 1.0)
     settings = FilterParameters(
         frame_convention="ned",
+        earth_rate=False,
         imu=ImuParameters(mount=mount, lever_arm=tuple(IMU_ARM.tolist())),
         dvl=DvlParameters(bias_model="gauss_markov"),
         initial=InitialParameters(
