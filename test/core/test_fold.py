@@ -201,6 +201,20 @@ def test_of_duplicates_the_same_one_counts_in_any_order(seed: int) -> None:
     assert results[0] == results[1]
 
 
+@pytest.mark.parametrize(
+    "change", [{"velocity_frame": "nav"}, {"once": True}, {"P_v": np.eye(3)}, {"P_p": np.eye(3)}]
+)
+def test_initials_that_differ_in_their_declaration_only_are_not_the_same(change: dict) -> None:
+    start = Initial(START, rotation_from_rpy(np.array([0.0, 0.0, 1.0])), *np.ones((2, 3)), "body")
+    states = []
+    for events in ([start, replace(start, **change)], [replace(start, **change), start]):
+        fold = Fold(modes("set_odometry"))
+        for event in [*events, at(0), at(1)]:
+            fold.add(event)
+        states.append(fold.latest.tobytes())
+    assert states[0] == states[1]
+
+
 def test_an_event_sent_twice_changes_nothing(expected: FoldResult) -> None:
     fold = Fold(SETTINGS)
     feed(fold, [e for event in EVENTS for e in (event, event)])
@@ -231,6 +245,19 @@ def test_taking_is_monotonic_and_never_repeats() -> None:
     updates = [o.stamp_ns for o in taken if isinstance(o, AppliedUpdate)]
     pings = [e.stamp_ns for e in EVENTS if isinstance(e, Dvl) and e.stamp_ns <= fold.newest_ns]
     assert sorted(updates) == pings  # the one after the newest sample still waits
+
+
+def test_a_measurement_that_is_replaced_by_its_duplicate_is_given_out_once() -> None:
+    fold = Fold(SIMPLE)
+    for k in range(20):
+        fold.add(at(k))
+    stamp = START + 15 * STEP
+    pings = sorted((Dvl(stamp, np.full(3, v)) for v in (0.01, 0.02)), key=Dvl.payload)
+    fold.add(pings[1])
+    assert [o.stamp_ns for o in fold.take() if isinstance(o, AppliedUpdate)] == [stamp]
+    assert fold.add(pings[0]) == "duplicate"
+    assert fold.take() == []
+    assert fold.updates[0].report.innovation[0] == pytest.approx(pings[0].v_d[0], abs=1e-3)
 
 
 def test_in_order_everything_is_given_out_as_it_comes(expected: FoldResult) -> None:
