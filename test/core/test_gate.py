@@ -126,6 +126,17 @@ def test_a_single_outlier_leaves_no_trace() -> None:
     assert not any(spoilt.counts[name] for name in ("inflations", "restarts"))
 
 
+def test_only_rejections_in_a_row_have_a_consequence() -> None:
+    m = mission()
+    v_d = m.v_d.copy()
+    v_d[5::5] += [3.0, 0.0, 0.0]  # more than twice the limit in all
+    result = fly(parameters(), m, v_d)
+    assert [not u.report.accepted for u in result.updates] == [
+        k > 0 and k % 5 == 0 for k in range(len(v_d))
+    ]
+    assert not any(result.counts[name] for name in ("inflations", "restarts"))
+
+
 @pytest.mark.parametrize("error_state", ["invariant", "ned"])
 def test_a_filter_that_is_wrong_recovers(error_state: str) -> None:
     """The velocity jumps by 3 m/s, as after a collision that the IMU did not measure."""
