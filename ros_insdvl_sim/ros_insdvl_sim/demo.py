@@ -57,6 +57,8 @@ FILTERS = ("/constant", "/learned")
 FULL_SPEED = 7.5
 REFERENCE_MESSAGE_TIME = 100e-6  # s
 
+OUTPUT_DELAY = 2.0  # s, of the filters' odometry
+
 START_TIME = 300.0  # s for all nodes to be there; without a cache they first compile
 QUIET_TIME = 6.0  # s without any new message after which the rest is lost
 
@@ -251,7 +253,9 @@ def start_consumers(graph: Graph, out: Path, initial: Mapping[str, Any]) -> None
         section = {
             **initial,
             "gate": {"enabled": False},
-            # A tuner that is held up must not make its result too late.
+            # What is published waits for the DVL and for Q, so the seed alone decides the result;
+            # a tuner that is held up does not make its Q too late.
+            "output_delay": OUTPUT_DELAY,
             "max_delay": 10.0,
             "process_noise": {"source": source},
         }

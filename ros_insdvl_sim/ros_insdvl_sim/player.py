@@ -1,7 +1,9 @@
 """What the simulator and the replay share: a node that plays messages at the pace of their stamps.
 
-Messages are sent from a thread of their own, by the steady clock. A player that was held up for a
-moment catches up; one that is too slow for its pace falls behind it, and never skips a message.
+Messages are sent from a thread of their own, by the steady clock: in real time each when it is due,
+faster than that in short bursts, since waking the consumers for every message would cost more than
+the messages. A player that was held up for a moment catches up; one that is too slow for its pace
+falls behind it, and never skips a message.
 """
 
 import math
@@ -22,6 +24,7 @@ from ros_insdvl.node import InsdvlNode, Output
 _Group = TypeVar("_Group")
 
 CLOCK_PERIOD = 0.02  # s of the steady clock between messages on /clock
+BURST_PERIOD = 0.02  # s of the steady clock between bursts, where there is a rate_factor
 SETTLE_TIME = 1.0  # s without a new subscription after which all have been discovered
 MAX_LAG = 0.1  # s behind the pace that is caught up
 ACKNOWLEDGE_TIME = 30.0  # s to wait for the last messages to arrive
@@ -42,6 +45,7 @@ class Player(InsdvlNode[_Group]):
                 is one, nothing is sent and the node finishes with exit code 1.
         """
         self._rate = rate_factor or 1.0
+        self._burst_period = BURST_PERIOD if rate_factor else 0.0
         self._min_subscribers = min_subscribers
         self._exclusive_wait = exclusive_wait
         self._clock_output = self.create_publisher(Clock, "/clock", 10) if rate_factor else None
@@ -111,7 +115,7 @@ class Player(InsdvlNode[_Group]):
                 lag = time.monotonic() - due
                 if lag > MAX_LAG:  # a burst to catch up would overrun the consumers' queues
                     start += lag - MAX_LAG
-                if self._stop.wait(max(-lag, 0.0)):
+                if lag < 0.0 and self._stop.wait(self._burst_period - lag):
                     return False
                 if time.monotonic() - last_clock >= CLOCK_PERIOD:
                     last_clock = time.monotonic()
