@@ -7,6 +7,7 @@ Covariances follow REP-145: a first element of -1 says that the quantity is not 
 zeros say that its covariance is unknown.
 """
 
+import math
 from typing import Any
 
 import numpy as np
@@ -41,10 +42,10 @@ def vector(field: Any, name: str) -> Array:
     Raises:
         RejectedMessage: ``not_finite``.
     """
-    value = np.array([field.x, field.y, field.z], dtype=float)
-    if not np.isfinite(value).all():
-        raise RejectedMessage("not_finite", f"{name} is {value.tolist()}")
-    return value
+    x, y, z = float(field.x), float(field.y), float(field.z)
+    if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
+        raise RejectedMessage("not_finite", f"{name} is {[x, y, z]}")
+    return np.array([x, y, z])
 
 
 def covariance(field: Any, size: int, name: str) -> Array | None:
