@@ -6,8 +6,8 @@ published. Nothing numerical depends on a timer or on the clock.
 
 import sys
 from collections import Counter, deque
-from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,17 +17,18 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import Imu, NavSatFix
 from std_srvs.srv import Trigger
 
-from insdvl import messages
-from insdvl.events import NS, Dvl, Event, ProcessNoise
+from insdvl import inputs
+from insdvl.events import NS, Dvl, ProcessNoise
 from insdvl.events import Imu as ImuSample
 from insdvl.fold import AppliedUpdate, Fold
 from insdvl.frames import CONVENTIONS
+from insdvl.inputs import Q_TOPICS, Inputs
 from insdvl.odometry import Odometry as FilterOdometry
 from insdvl.odometry import biases
 from insdvl.parameters import FilterParameters
 from insdvl.state import NEVER
 from ros_insdvl.conversions import fill_bias, fill_innovation, fill_odometry
-from ros_insdvl.node import ERROR, WARN, Health, InsdvlNode, command_qos, run
+from ros_insdvl.node import ERROR, WARN, Health, InsdvlNode, command_qos, run, sensor_qos
 
 #: Stamps and clock that differ by more than this are not of one time: no latency is told.
 CLOCK_AGREEMENT_NS = 10 * NS
@@ -36,8 +37,16 @@ DVL_OUTAGE_NS = 5 * NS
 #: Largest relative difference between imu.rate and the rate of the stamps.
 RATE_TOLERANCE = 0.05
 
-#: Topic of each source of Q that listens to one.
-Q_TOPICS = {"external": "process_noise", "oracle": "ground_truth/process_noise"}
+#: Message class of each type that is taken.
+TYPES = {
+    inputs.IMU: Imu,
+    inputs.FIX: NavSatFix,
+    inputs.TWIST: TwistStamped,
+    inputs.TWIST_WITH_COVARIANCE: TwistWithCovarianceStamped,
+    inputs.ODOMETRY: Odometry,
+}
+#: Topics on which single messages have to arrive.
+COMMANDS = ("set_odometry", *Q_TOPICS.values())
 
 
 def compile_kernels(parameters: FilterParameters) -> None:
@@ -66,6 +75,7 @@ class FilterNode(InsdvlNode[FilterParameters]):
         parameters = self.parameters
         compile_kernels(parameters)
         self._fold = Fold(parameters)
+        self._inputs = Inputs(parameters)
         self._convention = CONVENTIONS[parameters.frame_convention]
 
         self._odometry = self.advertise(Odometry, "odometry/filtered")
@@ -78,8 +88,7 @@ class FilterNode(InsdvlNode[FilterParameters]):
         self._innovation_message = TwistWithCovarianceStamped()
 
         self._bias_second: int | None = None
-        self._initial: Subscription | None = None
-        self._initial_ns: int | None = None
+        self._subscriptions_by_topic: dict[str, Subscription] = {}
         self._updates: Counter[str] = Counter()
         self._nis: deque[float] = deque(maxlen=100)
         self._imu_stamps: deque[int] = deque(maxlen=200)
@@ -90,79 +99,31 @@ class FilterNode(InsdvlNode[FilterParameters]):
         self.start_diagnostics()
 
     def _listen(self) -> None:
-        parameters = self.parameters
-        self.listen(Imu, "imu/data_raw", self._on_imu)
-        self.listen(TwistStamped, "dvl/velocity", self._on_dvl("dvl/velocity"))
-        self.listen(
-            TwistWithCovarianceStamped, "dvl/velocity_cov", self._on_dvl("dvl/velocity_cov")
-        )
-        self.listen(Odometry, "set_odometry", self._on_set_odometry, command_qos())
-        source = parameters.process_noise.source
-        if source in Q_TOPICS:
-            topic = Q_TOPICS[source]
-            self.listen(Imu, topic, self._on_process_noise(topic), command_qos())
-        if parameters.origin.source == "topic":
-            self.listen(NavSatFix, "gps/fix", self._on_fix)
-        self._listen_for_initial()
+        for topic, kind in self._inputs.topics.items():
+            if topic not in self._subscriptions_by_topic:
+                self._subscriptions_by_topic[topic] = self.listen(
+                    TYPES[kind],
+                    topic,
+                    partial(self._receive, topic),
+                    command_qos() if topic in COMMANDS else sensor_qos(),
+                )
 
-    def _listen_for_initial(self) -> None:
-        self._initial_ns = None
-        initial = self.parameters.initial
-        if initial.mode == "topic" and self._initial is None:
-            self._initial = self.listen(Odometry, initial.topic, self._on_initial)
-
-    # Messages
-
-    def _on_imu(self, message: Imu) -> None:
-        sample = messages.imu(message, self._convention)
-        self._bias_message.header.frame_id = message.header.frame_id
-        if self._add("imu/data_raw", sample):
-            self._imu_stamps.append(sample.stamp_ns)
-        if self.parameters.process_noise.source == "message":
-            self._add("imu/data_raw", messages.process_noise(message, self._convention))
-        self._publish()
-
-    def _on_dvl(self, topic: str) -> Callable[[Any], None]:
-        def receive(message: Any) -> None:
+    def _receive(self, topic: str, message: Any) -> None:
+        if topic == "imu/data_raw":
+            self._bias_message.header.frame_id = message.header.frame_id
+        elif topic.startswith("dvl/"):
             self._innovation_message.header.frame_id = message.header.frame_id
-            self._add(topic, messages.dvl(message, self._convention))
+        try:
+            for event in self._inputs.events(topic, message, self._fold.newest_ns):
+                refusal = self._fold.add(event)
+                if refusal is not None:
+                    self.reject(topic, refusal, f"{refusal}: stamp {event.stamp_ns} ns")
+                elif isinstance(event, ImuSample):
+                    self._imu_stamps.append(event.stamp_ns)
+        finally:
             self._publish()
-
-        return receive
-
-    def _on_process_noise(self, topic: str) -> Callable[[Imu], None]:
-        def receive(message: Imu) -> None:
-            self._add(topic, messages.process_noise(message, self._convention))
-            self._publish()
-
-        return receive
-
-    def _on_set_odometry(self, message: Odometry) -> None:
-        self._add("set_odometry", messages.initial(message, self._convention, once=False))
-        self._publish()
-
-    def _on_initial(self, message: Odometry) -> None:
-        event = messages.initial(message, self._convention, once=True)
-        # One with an earlier stamp may still arrive and then is the first; after max_delay none.
-        if self._initial_ns is None:
-            self._initial_ns = event.stamp_ns
-        late = event.stamp_ns > self._initial_ns + self.parameters.max_delay * NS
-        if late and self._initial is not None:
-            self.destroy_subscription(self._initial)
-            self._initial = None
-            return
-        self._add(self.parameters.initial.topic, event)
-        self._publish()
-
-    def _on_fix(self, message: NavSatFix) -> None:
-        self._add("gps/fix", messages.origin(message))
-        self._publish()
-
-    def _add(self, topic: str, event: Event) -> bool:
-        reason = self._fold.add(event)
-        if reason is not None:
-            self.reject(topic, reason, f"{reason}: stamp {event.stamp_ns} ns")
-        return reason is None
+        if topic == self._inputs.initial_topic and self._inputs.initial_done:
+            self.destroy_subscription(self._subscriptions_by_topic.pop(topic))
 
     # Outputs
 
@@ -187,6 +148,9 @@ class FilterNode(InsdvlNode[FilterParameters]):
 
     def _publish_update(self, update: AppliedUpdate) -> None:
         report = update.report
+        if report.reason == "not_initialised":
+            self.reject("dvl", report.reason, f"{report.reason}: stamp {update.stamp_ns} ns")
+            return
         if report.accepted:
             self._updates["accepted"] += 1
         else:
@@ -207,7 +171,8 @@ class FilterNode(InsdvlNode[FilterParameters]):
         self._bias_second = None
         self._nis.clear()
         self._imu_stamps.clear()
-        self._listen_for_initial()
+        self._inputs.reset()
+        self._listen()
         self.get_logger().info("reset: the filter is uninitialised")
         response.success = True
         response.message = f"uninitialised; initial.mode is {self.parameters.initial.mode}"
@@ -234,6 +199,8 @@ class FilterNode(InsdvlNode[FilterParameters]):
         if state is None:
             initial = self.parameters.initial
             waits_for = initial.topic if initial.mode == "topic" else initial.mode
+            if self.parameters.origin.source == "topic":
+                waits_for += " and gps/fix"
             health.complain(WARN, f"not initialised, waits for {waits_for}")
             return
         sigma_f = np.sqrt(np.diag(state["Q_f"]))

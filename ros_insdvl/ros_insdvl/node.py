@@ -267,14 +267,28 @@ def run(factory: Callable[[], InsdvlNode[Any]]) -> int:
         names it), else what the node finished with. Any other exception passes, which ends a
         program with 1.
     """
+    nodes: list[InsdvlNode[Any]] = []
+    try:
+        return _spin(factory, nodes)
+    except KeyboardInterrupt:  # a second one, while the first was handled
+        return 0
+    finally:
+        _ignore_interrupts()
+        for node in nodes:
+            node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def _spin(factory: Callable[[], InsdvlNode[Any]], nodes: list[InsdvlNode[Any]]) -> int:
+    """As `run`, which takes down the node that is put into ``nodes``."""
     try:
         rclpy.init()
     except RuntimeError as error:  # what rcl's errors are derived from
         print(f"cannot read the ROS arguments: {error}", file=sys.stderr)
         return 2
-    node: InsdvlNode[Any] | None = None
     try:
         node = factory()
+        nodes.append(node)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         executor.spin_until_future_complete(node.finished)
@@ -283,11 +297,15 @@ def run(factory: Callable[[], InsdvlNode[Any]]) -> int:
         print(error, file=sys.stderr)
         return 2
     except (KeyboardInterrupt, ExternalShutdownException):
+        _ignore_interrupts()
         return 0
-    finally:
-        # A second Ctrl-C while the node is taken down would end in a traceback.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        if node is not None:
-            node.destroy_node()
-        rclpy.try_shutdown()
+    except RuntimeError:  # what rcl's errors are derived from
+        if rclpy.ok():
+            raise
+        return 0  # interrupted while the node was made: the middleware is gone
+
+
+def _ignore_interrupts() -> None:
+    """A further Ctrl-C while the node is taken down would end in a traceback."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)

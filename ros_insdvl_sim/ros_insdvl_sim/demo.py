@@ -8,6 +8,7 @@ them.
 
 import argparse
 import json
+import math
 import os
 import signal
 import subprocess
@@ -52,10 +53,11 @@ TRAJECTORY = "auv"
 IMU_RATE = 100.0  # Hz
 FILTERS = ("/constant", "/learned")
 
-#: Speed against real time on two unloaded cores of the reference machine, and the time that it
-#: takes there to serialise and deserialise an odometry message.
-FULL_SPEED = 7.5
-REFERENCE_MESSAGE_TIME = 100e-6  # s
+#: Speed against real time that leaves two cores some room (the graph then uses about 75 % of them;
+#: at 11 it loses messages), on a machine that serialises and deserialises an odometry message in
+#: this time.
+FULL_SPEED = 7.0
+REFERENCE_MESSAGE_TIME = 90e-6  # s
 
 OUTPUT_DELAY = 2.0  # s, of the filters' odometry
 
@@ -119,12 +121,13 @@ def environment() -> dict[str, str]:
 
 def choose_rate_factor() -> float:
     """The speed that this machine can hold, from its cores and the time that a message takes."""
-    message = Odometry()
-    begin = time.perf_counter()
-    repeats = 2000
-    for _ in range(repeats):
-        deserialize_message(serialize_message(message), Odometry)
-    message_time = (time.perf_counter() - begin) / repeats
+    message, repeats = Odometry(), 100
+    message_time = math.inf
+    for _ in range(20):  # the fastest of many short runs is the machine's, not its load's
+        begin = time.perf_counter()
+        for _ in range(repeats):
+            deserialize_message(serialize_message(message), Odometry)
+        message_time = min(message_time, (time.perf_counter() - begin) / repeats)
     cores = len(os.sched_getaffinity(0))
     factor = FULL_SPEED * min(1.0, cores / 2) * min(1.0, REFERENCE_MESSAGE_TIME / message_time)
     return max(round(factor, 1), 0.5)
@@ -550,7 +553,7 @@ def run_demo(options: argparse.Namespace) -> int:
     duration = options.duration or trajectory_named(TRAJECTORY).duration
     print(
         f"{duration:g} s of mission, scenario {options.scenario}, seed {options.seed}, "
-        f"at {rate_factor:g} times real time"
+        f"at {rate_factor:g} times real time; gate off, as in the evaluation"
     )
     print_second_terminal(variables)
 

@@ -7,12 +7,12 @@ from typing import Any
 
 from geometry_msgs.msg import TwistStamped, TwistWithCovarianceStamped
 from nav_msgs.msg import Odometry
-from ros_insdvl.node import latched_qos, run
 from sensor_msgs.msg import Imu, NavSatFix
 
 from insdvl import bags
 from insdvl.bags import BagError, BagReader
 from insdvl.parameters import ParameterError, ReplayParameters
+from ros_insdvl.node import latched_qos, run
 from ros_insdvl_sim.player import Player
 
 TYPES = {

@@ -22,13 +22,8 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from insdvl.events import NS
+from insdvl.inputs import FIX, IMU, ODOMETRY, TWIST, TWIST_WITH_COVARIANCE
 from insdvl.parameters import ReplayParameters
-
-IMU = "sensor_msgs/msg/Imu"
-FIX = "sensor_msgs/msg/NavSatFix"
-TWIST = "geometry_msgs/msg/TwistStamped"
-TWIST_WITH_COVARIANCE = "geometry_msgs/msg/TwistWithCovarianceStamped"
-ODOMETRY = "nav_msgs/msg/Odometry"
 
 #: What is played of a recording: the parameter that names the recorded topic, the topic that the
 #: nodes know it by, and its type.

@@ -38,8 +38,8 @@ DVL_ERROR = slice(15, 18)  # m/s, only with dvl.bias_model
 # First elements of the blocks, for the kernels.
 _V, _A, _F, _W, _P, _D = 0, 3, 6, 9, 12, 15
 
-# F and Phi are dense in the rows of velocity, attitude and position, and in the first twelve columns;
-# the bias rows of F are zero. Loops that run over just these blocks skip half of all products.
+# F and Phi are dense in the rows of velocity, attitude and position, and there in the first twelve
+# columns; the bias rows of F are zero. Loops over just these blocks skip half of all products.
 
 
 @kernel
@@ -132,13 +132,11 @@ def _transition_row(Phi: Array, F: Array, i: int, dt: float) -> None:
 
 
 @kernel
-def input_noise(
-    s: State, w: Workspace, c: Constants, Q_f: Array, Q_w: Array, dt: float
-) -> None:
+def input_noise(s: State, w: Workspace, c: Constants, Q_f: Array, Q_w: Array, dt: float) -> None:
     """Q_d = G Q_c G^T dt into ``w.Q_d``, for the densities ``Q_f``, ``Q_w`` (3, 3) and the walks.
 
-    G = [[C, [v x] C (invariant) or 0, 0, 0], [0, C, 0, 0], [0, 0, I, 0], [0, 0, 0, I], [0]]; noise is
-    symmetric, so the signs of its columns do not matter as long as those of w agree.
+    G = [[C, [v x] C (invariant) or 0, 0, 0], [0, C, 0, 0], [0, 0, I, 0], [0, 0, 0, I], [0]]. White
+    noise has no sign, so those of G's columns do not matter.
     """
     Q_d, C, M, N = w.Q_d, w.C_mean, w.M1, w.M2
     n = Q_d.shape[0]
@@ -169,8 +167,8 @@ def input_noise(
 def propagate(P: Array, w: Workspace) -> None:
     """P <- Phi (P + Q_d / 2) Phi^T + Q_d / 2, in place: second order in the step, symmetric.
 
-    Phi is the identity in the bias rows. So with A = Phi (P + Q_d / 2) the covariance with a bias is
-    in A already, and only velocity, attitude and position need the second product, A Phi^T. The
+    Phi is the identity in the bias rows. So A = Phi (P + Q_d / 2) has the covariance with a bias
+    already, and only velocity, attitude and position need the second product, A Phi^T. The
     loops over the fifteen states have a fixed length, which lets the compiler unroll them.
     """
     A, Q_d = w.A, w.Q_d
@@ -327,9 +325,7 @@ def innovation_covariance(P: Array, w: Workspace, R: Array) -> float:
             S_inv[i, a] /= determinant
     for i in range(n):
         for a in range(3):
-            K[i, a] = (
-                PHt[i, 0] * S_inv[0, a] + PHt[i, 1] * S_inv[1, a] + PHt[i, 2] * S_inv[2, a]
-            )
+            K[i, a] = PHt[i, 0] * S_inv[0, a] + PHt[i, 1] * S_inv[1, a] + PHt[i, 2] * S_inv[2, a]
     rotate(w.x1, S_inv, w.innovation)
     return w.innovation[0] * w.x1[0] + w.innovation[1] * w.x1[1] + w.innovation[2] * w.x1[2]
 

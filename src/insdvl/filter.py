@@ -410,9 +410,7 @@ class Filter:
         c = self.constants[0]
         return s["Q_w"] * (c["density"] * c["rate"])
 
-    def _recover(
-        self, state: Records, dvl: Dvl, innovation: Array, R: Array
-    ) -> tuple[bool, str]:
+    def _recover(self, state: Records, dvl: Dvl, innovation: Array, R: Array) -> tuple[bool, str]:
         """Reject, but not for ever: inflate the velocity covariance, then restart the velocity."""
         s = state[0]
         s["rejections"] += 1
@@ -440,4 +438,3 @@ class Filter:
 
 def _or_isotropic(P: Array | None, std: float) -> Array:
     return np.eye(3) * std**2 if P is None else P
-

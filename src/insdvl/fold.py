@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl.events import NS, Dvl, Event, Imu, Initial, Kind, Origin, ProcessNoise
+from insdvl.events import NS, Dvl, Event, Imu, Initial, Origin, ProcessNoise
 from insdvl.filter import Filter, UpdateReport
 from insdvl.kernels import kernel
 from insdvl.odometry import Odometry, odometry
@@ -29,6 +29,7 @@ from insdvl.state import COUNTERS, NEVER, State
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 Records = NDArray[np.void]
+
 
 @dataclass(frozen=True, slots=True)
 class AppliedUpdate:

@@ -17,7 +17,7 @@ import warnings
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numba
 from numba.core.caching import FunctionCache
@@ -85,7 +85,7 @@ def cache_dir() -> Path | None:
     return None
 
 
-class _ForgivingCache(FunctionCache):  # type: ignore[misc]
+class _ForgivingCache(FunctionCache):
     """numba's cache, except that a damaged or full one is a warning and not an exception."""
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
@@ -110,15 +110,15 @@ def kernel(function: _Function) -> _Function:
     ``error_model="numpy"``: a division by zero gives inf or nan as numpy does, and costs no check.
     Floating-point operations are never reordered, so a kernel is reproducible to the bit.
     """
-    dispatcher = numba.njit(error_model="numpy", nogil=True)(function)
+    dispatcher: Any = numba.njit(error_model="numpy", nogil=True)(function)
     folder = cache_dir()
     if folder is not None:
-        previous = numba.config.CACHE_DIR
-        numba.config.CACHE_DIR = str(folder)
+        config: Any = numba.config
+        previous, config.CACHE_DIR = config.CACHE_DIR, str(folder)
         try:
             dispatcher._cache = _ForgivingCache(function)
         except RuntimeError as error:  # numba found no place for this function
             _warn_once(str(error))
         finally:
-            numba.config.CACHE_DIR = previous
-    return dispatcher  # type: ignore[no-any-return]
+            config.CACHE_DIR = previous
+    return cast(_Function, dispatcher)

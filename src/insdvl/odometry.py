@@ -1,4 +1,4 @@
-"""The filter's output: odometry of base_link and the biases, with covariances of ordinary errors."""
+"""The filter's output: odometry of base_link and biases, with covariances of ordinary errors."""
 
 from dataclasses import dataclass
 
@@ -22,6 +22,7 @@ from insdvl.rotation import (
 from insdvl.state import State
 
 Array = NDArray[np.float64]
+Records = NDArray[np.void]
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +110,7 @@ def odometry(filter_: Filter, states: NDArray[np.void], k: int) -> Odometry:
 
 
 @kernel
-def _odometry(states: Array, k: int, constants: Array, out: Array) -> None:
+def _odometry(states: Records, k: int, constants: Records, out: Records) -> None:
     """base_link lies at -l from the IMU: p = p_imu - C l, v_b = C_b_n v_imu - w_nb x l.
 
     With the errors of the model, dp_base = dp + [C l x] psi, and in body axes

@@ -11,7 +11,7 @@ import os
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from insdvl import bags, messages
-from insdvl.bags import BagError, BagReader, BagWriter, Raw, Recorded, decode
+from insdvl.bags import BagError, BagReader, BagWriter, Raw, decode
 from insdvl.evaluation.metrics import (
     Track,
     autocorrelation,
@@ -29,9 +29,10 @@ from insdvl.evaluation.metrics import (
     normalised_innovations,
     scores,
 )
-from insdvl.events import NS, Event
+from insdvl.events import NS
 from insdvl.fold import Fold
 from insdvl.frames import CONVENTIONS, NED
+from insdvl.inputs import Q_TOPICS, Inputs
 from insdvl.messages import RejectedMessage
 from insdvl.odometry import Odometry, biases, odometry
 from insdvl.parameters import (
@@ -48,8 +49,6 @@ from insdvl.tuner.tuner import Tuner
 
 Array = NDArray[np.float64]
 
-#: Topic of each source of Q that listens to one.
-Q_TOPICS = {"external": "process_noise", "oracle": "ground_truth/process_noise"}
 TRUTH = "ground_truth/odometry"
 LAGS = 10
 
@@ -187,69 +186,26 @@ def fold_recording(recording: Sequence[Raw], parameters: FilterParameters) -> Re
     Raises:
         BagError: What the parameters need is not in the recording, or a message is damaged.
     """
-    _require_topics(recording, parameters)
-    convention = CONVENTIONS[parameters.frame_convention]
-    source = parameters.process_noise.source
-    initial_topic = parameters.initial.topic.lstrip("/")
-    first_initial_ns: int | None = None
-
-    def events(recorded: Recorded) -> Iterator[Event]:
-        nonlocal first_initial_ns
-        topic, message = recorded.topic, recorded.message
-        if topic == "imu/data_raw":
-            yield messages.imu(message, convention)
-            if source == "message":
-                yield messages.process_noise(message, convention)
-        elif topic in ("dvl/velocity", "dvl/velocity_cov"):
-            yield messages.dvl(message, convention)
-        elif topic == Q_TOPICS.get(source):
-            yield messages.process_noise(message, convention)
-        elif topic == "gps/fix" and parameters.origin.source == "topic":
-            yield messages.origin(message)
-        elif topic == "set_odometry":
-            yield messages.initial(message, convention, once=False)
-        if topic == initial_topic and parameters.initial.mode == "topic":
-            event = messages.initial(message, convention, once=True)
-            # One with an earlier stamp may come later and then is the first; after max_delay none.
-            if first_initial_ns is None:
-                first_initial_ns = event.stamp_ns
-            if event.stamp_ns <= first_initial_ns + parameters.max_delay * NS:
-                yield event
-
-    samples = sum(raw.topic == "imu/data_raw" for raw in recording)
-    fold = Fold(parameters, capacity=samples + 1)
+    inputs = Inputs(parameters)
+    there = {raw.topic for raw in recording}
+    for topic, reason in inputs.required.items():
+        if topic.lstrip("/") not in there:
+            raise BagError(f"{reason}, but nothing in the recording is played on {topic}")
+    names = {topic.lstrip("/"): topic for topic in inputs.topics}
+    fold = Fold(parameters, capacity=sum(raw.topic == "imu/data_raw" for raw in recording) + 1)
     rejected: Counter[str] = Counter()
-    used = {"imu/data_raw", "dvl/velocity", "dvl/velocity_cov", "set_odometry", "gps/fix"}
-    used |= {initial_topic, Q_TOPICS.get(source, "")}
     for raw in recording:
-        if raw.topic not in used:
+        if raw.topic not in names:
             continue
         try:
-            for event in events(decode(raw)):
-                reason = fold.add(event)
-                if reason is not None:
-                    rejected[f"{raw.topic}: {reason}"] += 1
+            message = decode(raw).message
+            for event in inputs.events(names[raw.topic], message, fold.newest_ns):
+                refusal = fold.add(event)
+                if refusal is not None:
+                    rejected[f"{raw.topic}: {refusal}"] += 1
         except RejectedMessage as rejection:
             rejected[f"{raw.topic}: {rejection.reason}"] += 1
     return Replayed(fold, rejected)
-
-
-def _require_topics(recording: Sequence[Raw], parameters: FilterParameters) -> None:
-    needed = {}
-    if parameters.initial.mode == "topic":
-        needed[parameters.initial.topic.lstrip("/")] = "initial.mode is 'topic'"
-    if parameters.initial.mode == "set_odometry":
-        needed["set_odometry"] = "initial.mode is 'set_odometry'"
-    if parameters.origin.source == "topic":
-        needed["gps/fix"] = "origin.source is 'topic'"
-    if parameters.process_noise.source in Q_TOPICS:
-        needed[Q_TOPICS[parameters.process_noise.source]] = (
-            f"process_noise.source is '{parameters.process_noise.source}'"
-        )
-    there = {raw.topic for raw in recording}
-    for topic, reason in needed.items():
-        if topic not in there:
-            raise BagError(f"{reason}, but nothing in the recording is played on {topic}")
 
 
 # ---------------------------------------------------------------- scores

@@ -1,4 +1,4 @@
-"""Small vector and rotation kernels on (3,) and (3, 3) arrays; results go into the first argument."""
+"""Vector and rotation kernels on (3,) and (3, 3) arrays; results go into the first argument."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,7 +121,7 @@ def orthonormalise(C: Array, scratch: Array) -> None:
 
 @kernel
 def quaternions(q_xyzw: Array, C: Array) -> None:
-    """Unit quaternions (x, y, z, w), w >= 0, of rotations, by Shepperd's choice of the largest term.
+    """Unit quaternions (x, y, z, w), w >= 0, of rotations, each from its largest term (Shepperd).
 
     Source: S. W. Shepperd, Quaternion from rotation matrix, J. Guidance and Control 1(3), 1978.
 

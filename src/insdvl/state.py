@@ -4,18 +4,20 @@ A record is a numpy structured scalar: its fields are named in Python and in the
 it passes between the two without conversion. Everything that the future depends on is in it.
 """
 
+from typing import Any, TypeAlias
+
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl.kernels import kernel
 from insdvl.parameters import FilterParameters
 
-#: A state record. Its fields are those of `state_type`.
-State = np.void
+# A record's fields are attributes in kernels and keys in Python, which no static type expresses.
+#: A state record, see `state_type`.
+State: TypeAlias = Any
 #: Constants of a filter, see `constants_type`.
-Constants = np.void
+Constants: TypeAlias = Any
 #: Scratch memory of the kernels, see `workspace_type`.
-Workspace = np.void
+Workspace: TypeAlias = Any
 
 #: Stamp of something that has not happened.
 NEVER = -(2**62)
@@ -169,8 +171,3 @@ def workspace_type(n: int) -> np.dtype[np.void]:
         align=True,
     )
 
-
-@kernel
-def store(states: NDArray[np.void], k: int, s: State) -> None:
-    """states[k] = s."""
-    states[k] = s

@@ -1,12 +1,12 @@
-"""Strapdown mechanisation in NED: attitude, velocity and position from specific force and turn rate.
+"""Strapdown mechanisation in NED: attitude, velocity, position from specific force and turn rate.
 
     C_n_b' = C_n_b [w_ib_b x] - [w_in_n x] C_n_b
     v_n'   = C_n_b f_b + g_n - (2 w_ie_n + w_en_n) x v_n
     p_n'   = v_n
 
-(Groves 2013, section 5.4.) A sample is the mean over its interval. Under constant f_b and w_ib_b the
-attitude and the rotated specific force are integrated exactly; the rest is of second order in the
-step.
+(Groves 2013, section 5.4.) A sample is the mean over its interval. Under constant f_b and w_ib_b
+the attitude and the rotated specific force are integrated exactly; the rest is of second order in
+the step.
 """
 
 import numpy as np
@@ -46,9 +46,7 @@ def navigation_rate(w: Workspace, v_n: np.ndarray) -> None:
 
 
 @kernel
-def turn_rate(
-    w_nb_b: np.ndarray, s: State, w: Workspace, c: Constants, w_ib_b: np.ndarray
-) -> None:
+def turn_rate(w_nb_b: np.ndarray, s: State, w: Workspace, c: Constants, w_ib_b: np.ndarray) -> None:
     """w_nb_b = w_ib_b - C_b_n w_in_n at the state, whose w_in_n stays in the workspace.
 
     Args:
@@ -93,9 +91,7 @@ def mechanise(
     turn, mean_turn, frame = w.M1, w.M2, w.M3
     exponential(turn, mean_turn, w_ib_b[0] * dt, w_ib_b[1] * dt, w_ib_b[2] * dt)
     half = -0.5 * dt
-    exponential(
-        frame, w.M4, w.w_in_n[0] * half, w.w_in_n[1] * half, w.w_in_n[2] * half
-    )
+    exponential(frame, w.M4, w.w_in_n[0] * half, w.w_in_n[1] * half, w.w_in_n[2] * half)
     product(w.M4, s.C_n_b, mean_turn)
     product(w.C_mean, frame, w.M4)
     rotate(w.f_n, w.C_mean, f_b)

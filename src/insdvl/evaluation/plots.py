@@ -66,7 +66,8 @@ def mission(
     figure = Figure(figsize=(15, 9.5), layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(title, fontsize=14)
-    left, right = figure.add_gridspec(1, 2, width_ratios=[1.0, 1.35])
+    grid = figure.add_gridspec(1, 2, width_ratios=[1.0, 1.35])
+    left, right = grid[0], grid[1]
     two = left.subgridspec(2, 1, height_ratios=[2.2, 1.0])
     five = right.subgridspec(5, 1)
     thin = slice(None, None, max(1, len(t) // _MOST_POINTS))
