@@ -629,7 +629,17 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     )
     parser.add_argument("--out", type=Path, default=Path("demo-output"), help="folder of results")
     parser.add_argument("--record", type=Path, metavar="BAG", help="record all topics as a rosbag2")
-    return parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
+    shortest, longest = 2 * OUTPUT_DELAY, trajectory_named(TRAJECTORY).duration
+    if options.duration and not shortest <= options.duration <= longest:
+        parser.error(
+            f"--duration must be 0 or from {shortest:g} to {longest:g} s, got {options.duration:g}"
+        )
+    if options.rate_factor < 0.0 or not math.isfinite(options.rate_factor):
+        parser.error(f"--rate-factor must be 0 or above, got {options.rate_factor:g}")
+    if options.seed < 0:
+        parser.error(f"--seed must be 0 or above, got {options.seed}")
+    return options
 
 
 def main() -> int:
