@@ -4,7 +4,8 @@
 #   tools/environment.sh FOLDER                      pins of constraints.txt
 #   tools/environment.sh FOLDER constraints-X.txt    the same, except for what the second file pins
 #
-# PYTHON names the interpreter; without it the first suitable one on the PATH is taken.
+# PYTHON names the interpreter; without it the first suitable one on the PATH is taken, else one that
+# pyenv has (its command on the PATH does not run where that version is not selected).
 # VERSIONS are the Python versions that will do.
 set -eu
 folder=$1
@@ -46,9 +47,16 @@ else:
 PYTHON
 }
 
+pyenv=
+for version in $versions; do
+    for candidate in "${PYENV_ROOT:-$HOME/.pyenv}"/versions/"$version".*/bin/python3; do
+        [ -x "$candidate" ] && pyenv="$pyenv $candidate"
+    done
+done
+
 python=
 seen=
-for candidate in ${PYTHON:-python3 python3.12 python3.11 python3.13 python3.10}; do
+for candidate in ${PYTHON:-python3 python3.12 python3.11 python3.13 python3.10 $pyenv}; do
     command -v "$candidate" >/dev/null || continue
     verdict=$(judge "$candidate")
     if [ "$verdict" = ok ]; then
