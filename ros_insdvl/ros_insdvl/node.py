@@ -120,6 +120,44 @@ class Output:
         return bool(self._publisher.wait_for_all_acked(timeout))
 
 
+def subscribe(
+    node: Node,
+    message_type: type[Any],
+    topic: str,
+    handle: Callable[[Any], None],
+    qos: QoSProfile,
+    *,
+    raw: bool = False,
+    overrides: QoSOverridingOptions | None = None,
+) -> Subscription:
+    """A subscription whose turn takes all messages that wait, up to `TURN`.
+
+    The executor spends more on finding out which topic has a message than a node on the message, so
+    a node that is behind would stay behind; one that is not never notices.
+
+    Args:
+        handle: Takes a message, or with ``raw`` its bytes.
+        overrides: What of the quality of service a parameter may change.
+    """
+
+    def take_turn(message: Any) -> None:
+        handle(message)
+        for _ in range(TURN - 1):
+            try:
+                with subscription.handle:
+                    taken = subscription.handle.take_message(message_type, raw)
+            except InvalidHandle:  # the callback has ended the subscription
+                return
+            if taken is None:
+                return
+            handle(taken[0])
+
+    subscription = node.create_subscription(
+        message_type, topic, take_turn, qos, raw=raw, qos_overriding_options=overrides
+    )
+    return subscription
+
+
 class InsdvlNode(Node, Generic[_Group]):
     """A node with the parameters of a group, counted topics and a status in /diagnostics.
 
@@ -171,9 +209,6 @@ class InsdvlNode(Node, Generic[_Group]):
         """A counted subscription; its quality of service is `sensor_qos` unless given.
 
         A `RejectedMessage` from the callback is counted by its reason.
-
-        The executor spends more on finding out which topic has a message than a node on the
-        message. So a turn takes all that wait, up to `TURN`; only a node that is behind notices.
         """
         self.received[topic] = 0
 
@@ -184,26 +219,9 @@ class InsdvlNode(Node, Generic[_Group]):
             except RejectedMessage as rejection:
                 self.reject(topic, rejection.reason, str(rejection))
 
-        def take_turn(message: Any) -> None:
-            handle(message)
-            for _ in range(TURN - 1):
-                try:
-                    with subscription.handle:
-                        taken = subscription.handle.take_message(message_type, False)
-                except InvalidHandle:  # the callback has ended the subscription
-                    return
-                if taken is None:
-                    return
-                handle(taken[0])
-
-        subscription = self.create_subscription(
-            message_type,
-            topic,
-            take_turn,
-            qos or sensor_qos(),
-            qos_overriding_options=_overridable(),
+        return subscribe(
+            self, message_type, topic, handle, qos or sensor_qos(), overrides=_overridable()
         )
-        return subscription
 
     def reject(self, topic: str, reason: str, detail: str) -> None:
         """Count a message that is not used; the first of each reason is logged."""

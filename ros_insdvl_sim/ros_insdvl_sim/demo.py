@@ -14,6 +14,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -32,7 +33,6 @@ from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 from scipy.spatial.transform import Rotation
 
@@ -44,7 +44,7 @@ from insdvl.frames import ENU, rpy_from_rotation
 from insdvl.parameters import FilterParameters
 from insdvl.simulation.trajectories import trajectory_named
 from ros_insdvl.monitor import Monitor, OdometrySeries
-from ros_insdvl.node import publisher_qos
+from ros_insdvl.node import publisher_qos, subscribe
 
 Array = NDArray[np.float64]
 
@@ -58,6 +58,9 @@ FILTERS = ("/constant", "/learned")
 #: this time.
 FULL_SPEED = 7.0
 REFERENCE_MESSAGE_TIME = 90e-6  # s
+
+DEPTH = 4500  # messages that may wait for a consumer
+RECORDING_SPEED = 0.6  # of the speed without a recorder, which takes as much as all else
 
 OUTPUT_DELAY = 2.0  # s, of the filters' odometry
 
@@ -230,7 +233,7 @@ def lossless(*topics: str) -> dict[str, Any]:
     values: dict[str, Any] = {}
     for topic in topics:
         values[f"qos_overrides.{topic}.subscription.reliability"] = "reliable"
-        values[f"qos_overrides.{topic}.subscription.depth"] = 4500
+        values[f"qos_overrides.{topic}.subscription.depth"] = DEPTH
     return values
 
 
@@ -297,9 +300,10 @@ class Listener:
         self.monitor = Monitor(
             parameter_overrides=[Parameter(name, value=value) for name, value in overrides.items()]
         )
-        self.recorded = 0
+        self.recorded: Counter[str] = Counter()
         if writer is not None:
             for topic, kind in RECORDED.items():
+                self.recorded[topic] = 0
                 self._record(writer, topic, kind)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.monitor)
@@ -307,13 +311,14 @@ class Listener:
     def _record(self, writer: BagWriter, topic: str, kind: str) -> None:
         package, _, name = kind.split("/")
         message_type = getattr(__import__(f"{package}.msg", fromlist=[name]), name)
-        qos: QoSProfile = publisher_qos()
+        qos = publisher_qos()
+        qos.depth = DEPTH
 
         def write(data: bytes) -> None:
             writer.write(Raw(topic, kind, time.time_ns(), data))
-            self.recorded += 1
+            self.recorded[topic] += 1
 
-        self.monitor.create_subscription(message_type, topic, write, qos, raw=True)
+        subscribe(self.monitor, message_type, topic, write, qos, raw=True)
 
     def spin(self, seconds: float) -> None:
         """Handle messages for a time."""
@@ -369,6 +374,14 @@ class Listener:
             add(
                 "demo", f"{name}/odometry/filtered", odometry, received[f"{name}/odometry/filtered"]
             )
+        for topic, recorded in self.recorded.items():
+            owner = next((name for name in FILTERS if topic.startswith(name)), None)
+            if owner is not None:
+                of_node = topic.removeprefix(f"{owner}/")
+                all_sent = told(f"{owner}/insdvl_filter", f"sent {of_node}")
+            else:
+                all_sent = q_sent if topic == "/process_noise" else sent[topic.lstrip("/")]
+            add("recording", topic, all_sent, recorded)
         return counts
 
 
@@ -549,7 +562,8 @@ def run_demo(options: argparse.Namespace) -> int:
     logs.mkdir(parents=True, exist_ok=True)
     variables = environment()
     os.environ.update(variables)
-    rate_factor = options.rate_factor or choose_rate_factor()
+    share = 1.0 if options.record is None else RECORDING_SPEED
+    rate_factor = options.rate_factor or round(share * choose_rate_factor(), 1)
     duration = options.duration or trajectory_named(TRAJECTORY).duration
     print(
         f"{duration:g} s of mission, scenario {options.scenario}, seed {options.seed}, "
@@ -605,7 +619,7 @@ def run_demo(options: argparse.Namespace) -> int:
     (out / "summary.json").write_text(json.dumps(numbers, indent=2) + "\n", encoding="utf-8")
     print(f"\n{picture}\n{out / 'summary.json'}\n{wall_time:.1f} s in all")
     if options.record is not None:
-        print(f"{listener.recorded} messages in {options.record}")
+        print(f"{listener.recorded.total()} messages in {options.record}")
     for name, code in died.items():
         print(f"{name} ended with exit code {code}, see {graph.log(name)}", file=sys.stderr)
     if not complete:

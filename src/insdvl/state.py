@@ -170,4 +170,3 @@ def workspace_type(n: int) -> np.dtype[np.void]:
         ],
         align=True,
     )
-

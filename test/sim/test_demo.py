@@ -91,6 +91,10 @@ def test_every_message_arrives_and_is_counted(flown: tuple[Path, str]) -> None:
     assert counts["/learned filter", "process_noise"]["received"] == DURATION - 1
     published = 100 * (DURATION - demo.OUTPUT_DELAY)
     assert counts["demo", "/constant/odometry/filtered"]["received"] == published
+    assert counts["recording", "/imu/data_raw"]["received"] == 100 * DURATION
+    with BagReader(out / "bag") as bag:
+        for topic in demo.RECORDED:
+            assert counts["recording", topic]["received"] == bag.topics[topic].size
     assert set(summary["exit_codes"].values()) == {0}
     assert summary["rejected"] == {"constant": 0, "learned": 0}
     assert "DIFFER" not in printed
