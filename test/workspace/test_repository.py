@@ -6,7 +6,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 NOT_OURS = {"build", "install", "log", "demo-output", "__pycache__"}
-MACHINE_PATH = re.compile(r"(?<![\w.~/-])/(?:farm|home|opt|root|tmp|work)/[\w.-]+")
+MACHINE_PATH = re.compile(r"(?<![\w.~/-])/(?:home|opt|root|tmp|work)/[\w.-]+")
 
 
 def texts(folder: Path = ROOT) -> Iterator[tuple[Path, str]]:
