@@ -16,7 +16,7 @@ from insdvl.parameters import FilterParameters, build
 from insdvl.simulation.trajectories import AUV
 from insdvl.tuner.closed_form import degree_5
 from insdvl.tuner.models import ModelError, load_model
-from insdvl.tuner.offline import Estimate
+from insdvl.tuner.offline import Estimator
 
 #: What the filter believes, by preset: `paper` is the published filter, whose variances are used
 #: as densities and whose bias walk density is 0.001; `calibrated` is this project's.
@@ -210,7 +210,7 @@ def adaptives(setting: Setting, best: tuple[float, float]) -> dict[str, tuple[Ap
 
 
 @cache
-def estimator(learner: str) -> tuple[Estimate, int]:
+def estimator(learner: str) -> tuple[Estimator, int]:
     """The estimator of a learner, and its window.
 
     Raises:
