@@ -1,7 +1,8 @@
 """The rows of the comparison: filters that differ in where their process noise comes from.
 
 Names are those of the reports and of the option --rows. Some rows are the best of several
-candidates, settled on seeds of their own: the best constant Q, the best innovation-adaptive filters.
+candidates, settled on seeds of their own: the best constant Q, the best innovation-adaptive
+filters.
 """
 
 from collections.abc import Sequence
@@ -153,9 +154,7 @@ def approach(name: str, setting: Setting) -> Approach:
 def _adaptive(
     name: str, setting: Setting, nominal: Sequence[float], xi: int, form: str
 ) -> Approach:
-    parameters = setting.filter(
-        nominal, source="adaptive", adaptive_window=xi, adaptive_form=form
-    )
+    parameters = setting.filter(nominal, source="adaptive", adaptive_window=xi, adaptive_form=form)
     return Approach(name, parameters)
 
 
