@@ -193,8 +193,8 @@ def adaptives(setting: Setting, best: tuple[float, float]) -> dict[str, tuple[Ap
         best: Variances of the best constant.
     """
     xi = tuple(
-        _adaptive(f"xi={n} {form}, nominal {f:.3g}/{w:.3g}", setting, (f, w), n, form)
-        for (f, w), n, form in product((FIRST, best), _XI_GRID, ("floored", "literal"))
+        _adaptive(f"xi={n} floored, nominal {f:.3g}/{w:.3g}", setting, (f, w), n, "floored")
+        for (f, w), n in product((FIRST, best), _XI_GRID)
     )
     tau = tuple(
         Approach(
