@@ -540,6 +540,7 @@ def _client(workers: Workers, stack: contextlib.ExitStack) -> Any:
     """Client of the cluster; it, and the cluster if it was made here, are closed by the stack."""
     import dask
     from distributed import Client, LocalCluster
+    from distributed.comm import resolve_address
 
     if workers.scheduler is None:
         # Which losses are too many is decided here, for both backends. A worker may be restarting,
@@ -555,11 +556,15 @@ def _client(workers: Workers, stack: contextlib.ExitStack) -> Any:
                 threads_per_worker=1,
                 memory_limit=0,  # as with loky: what memory there is
                 dashboard_address=None,
+                preload=[
+                    "import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)"
+                ],  # as on loky
                 silence_logs=logging.CRITICAL,  # lost workers are reported here
             )
         )
         return stack.enter_context(Client(cluster, set_as_default=False))
     try:
+        resolve_address(workers.scheduler)  # a Client that was made of no address hangs at its end
         client = stack.enter_context(
             Client(workers.scheduler, timeout=CONNECT_TIMEOUT_S, set_as_default=False)
         )
