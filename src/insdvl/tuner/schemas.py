@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl.tuner.features import FEATURE_NAMES, features
+from insdvl.tuner.residual_features import RESIDUAL_FEATURE_NAMES, residual_features
 
 Array = NDArray[np.float64]
 
@@ -55,5 +56,8 @@ def _paper(windows: Array) -> tuple[Array, Array]:
 
 #: Feature schemas by the name that a model's card gives.
 SCHEMAS: Mapping[str, Schema] = MappingProxyType(
-    {"paper": Schema(FEATURE_NAMES, _paper, relative=False)}
+    {
+        "default": Schema(RESIDUAL_FEATURE_NAMES, residual_features, relative=True),
+        "paper": Schema(FEATURE_NAMES, _paper, relative=False),
+    }
 )
