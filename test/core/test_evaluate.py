@@ -124,7 +124,8 @@ def test_means_are_over_the_runs_in_which_no_row_failed() -> None:
 
 def test_a_row_that_fails_often_does_not_take_the_runs_from_the_others() -> None:
     often = list(range(int(MOST_FAILURES * 20) + 1))
-    numbers = summary(scores({"oracle": [], "xi": often}), np.random.default_rng(9))
+    values = scores({"oracle": [], "xi": often})
+    numbers = summary(values, np.random.default_rng(9))
     oracle, xi = numbers["rows"]
     assert numbers["paired_runs"] == 20 and oracle["srmse"] is not None
     assert xi["failures"] == len(often) and xi["srmse"] is None and xi["ratio_to"] == {}
