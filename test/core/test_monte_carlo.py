@@ -46,7 +46,7 @@ def test_runs_differ_and_splits_share_nothing() -> None:
     np.testing.assert_array_equal(again.f_b[0], readings[0])
 
 
-def test_initial_errors_are_those_of_P_0() -> None:
+def test_initial_errors_have_the_initial_covariance() -> None:
     sigma = InitialParameters()
     mission = mission_of_run(replace(STUDY, duration=10.0), TEST, 0)
     C, v, p = mission.initial.C_n_b[0], mission.initial.v_n[0], mission.initial.p_n[0]

@@ -4,7 +4,9 @@ A long window knows a constant variance better; a short one notices a change soo
 high rate, since a variance holds until the next one is told.
 """
 
-from collections.abc import Mapping
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,10 +19,13 @@ from insdvl.evaluation.monte_carlo import TEST, Run, Study, track
 from insdvl.evaluation.tables import interval, number, table
 from insdvl.fold import FoldResult
 from insdvl.parallel import Pool, Store
-from insdvl.tuner.models import Model
+from insdvl.training.ensemble import train
+from insdvl.tuner.forest import Forest
+from insdvl.tuner.models import Model, load_model
 
 Array = NDArray[np.float64]
 
+WINDOWS = (50, 100, 200, 400)  # samples
 RATES = (0.5, 1.0, 2.0, 5.0)  # Hz
 #: Noise profiles, and how often each channel changes in them.
 PROFILES = {
@@ -68,18 +73,35 @@ def _q_error(run: Run, stamps_ns: NDArray[np.int64], variances: Array) -> float:
     return float(np.sqrt(np.mean(np.log(variances[told[known]] / run.mission.q[known]) ** 2)))
 
 
+def trained(window: int, pool: Pool, store: Store | None) -> Model:
+    """The shipped model `default`, or the same trained for another window."""
+    shipped = load_model("default")
+    if window == shipped.window:
+        return shipped
+    data, card = train(
+        shipped.card["feature_schema"],
+        window,
+        shipped.card["data_set"]["seed"],
+        pool,
+        store,
+        say=lambda text: None,
+    )
+    return replace(shipped, card=card, window=window, regressor=Forest.load(io.BytesIO(data)))
+
+
 def study(
-    models: Mapping[int, Model], runs: int, seed: int, pool: Pool, store: Store | None = None
+    runs: int, seed: int, pool: Pool, store: Store | None = None, windows: Sequence[int] = WINDOWS
 ) -> dict[str, Any]:
     """The study's numbers.
 
     Args:
-        models: The learned model of each window, in samples.
         runs: Number of runs of each profile.
         seed: Of the runs.
         pool: Where they are computed.
         store: Keeps what is finished.
+        windows: Numbers of samples.
     """
+    models = {window: trained(window, pool, store) for window in windows}
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_BOOTSTRAP,)))
     draws = statistics.resamples(np.arange(runs), rng)
     document: dict[str, Any] = {
