@@ -254,8 +254,8 @@ def test_a_reference_between_stamps_of_the_imu_is_met_between_them() -> None:
     ]
     replayed = fold_recording(recording, filter_parameters())
     stamps_ns = mission.stamps_ns[:-1] + 3_000_000
-    between, sigma = states_at(replayed, stamps_ns)
-    at, sigma_at = states_at(replayed, mission.stamps_ns)
+    between, sigma = states_at(replayed.fold, stamps_ns)
+    at, sigma_at = states_at(replayed.fold, mission.stamps_ns)
     for name in ("v_b", "p_n"):
         values = getattr(at, name)
         mean = 0.7 * values[:-1] + 0.3 * values[1:]
@@ -407,7 +407,7 @@ def test_the_recorded_outputs_replay_to_the_same_numbers(bag: Path, tmp_path: Pa
         assert out.topics["/dvl/innovation"].size == int(DURATION)
         assert out.topics["/imu/bias"].size == int(DURATION) + 1
     stamps_ns = replayed.fold.states["time_ns"][replayed.initialised]
-    track, sigma = states_at(replayed, stamps_ns)
+    track, sigma = states_at(replayed.fold, stamps_ns)
     assert len(odometry) == len(stamps_ns)
     for k in (0, 700, len(odometry) - 1):
         linear, position = odometry[k].twist.twist.linear, odometry[k].pose.pose.position
