@@ -87,7 +87,9 @@ def test_the_data_set_depends_on_the_seed_and_not_on_the_workers(small):
 
 
 def test_the_random_split_is_80_to_20_without_overlap():
-    data = DataSet(np.empty((72_000, 0)), np.empty(72_000), np.empty(72_000, np.int64))
+    data = DataSet(
+        np.empty((72_000, 0)), np.empty(72_000), np.empty(72_000), np.empty(72_000, np.int64)
+    )
     training, test = dataset.random_split(data, seed=0)
     assert training.size == 57_600 and test.size == 14_400
     np.testing.assert_array_equal(np.sort(np.concatenate([training, test])), np.arange(72_000))
@@ -280,7 +282,7 @@ def test_the_shipped_model_does_as_its_card_says_on_data_of_another_seed():
     """An RMSE over 10,800 new examples has a sigma of 0.9 % of it: the bound is six of them."""
     model = load_model("paper")
     data = dataset.build("paper", seed=987_654, jobs=1, n_windows=30)
-    measured = ensemble.errors(model.forest, data, np.arange(data.q.size))
+    measured = ensemble.errors(model.regressor, data, np.arange(data.q.size))
     for split in ("random_split", "trajectory_split"):
         stated = model.card["metrics"][split]
         assert measured["rmse"] == pytest.approx(stated["rmse"], rel=0.055)

@@ -37,7 +37,7 @@ def test_the_shipped_model_and_its_card_belong_together():
     assert model.card["feature_schema"] == "paper"
     assert tuple(model.card["features"]) == FEATURE_NAMES
     assert model.window == model.card["window"] == 200
-    assert model.forest.n_trees == model.card["ensemble"]["trees"] == 30
+    assert model.regressor.n_trees == model.card["ensemble"]["trees"] == 30
 
 
 def test_a_name_and_a_path_give_the_same_model(model, monkeypatch):
@@ -52,7 +52,9 @@ def test_a_name_and_a_path_give_the_same_model(model, monkeypatch):
 def test_variances_are_the_forests_answer_to_the_features():
     model = load_model("paper")
     windows = np.random.default_rng(1).normal(0.0, 0.15, (50, 200))
-    np.testing.assert_array_equal(model.variances(windows), model.forest.predict(features(windows)))
+    np.testing.assert_array_equal(
+        model.variances(windows), model.regressor.predict(features(windows))
+    )
     assert np.mean(model.variances(windows)) == pytest.approx(0.15**2, rel=0.1)
 
 
@@ -106,6 +108,8 @@ def test_a_card_that_is_no_json_object_is_named(model, text):
     [
         ({"sha256": None}, "sha256 must be of type str, got None"),
         ({"feature_schema": 3}, "feature_schema must be of type str, got 3"),
+        ({"kind": None}, "kind must be of type str, got None"),
+        ({"kind": "oracle"}, "kind 'oracle' is unknown, known are forest"),
         ({"window": "200"}, "window must be of type int, got '200'"),
         ({"window": True}, "window must be of type int, got True"),
         ({"window": 2}, "window must be >= 3, got 2"),
@@ -149,7 +153,7 @@ def test_the_bytes_that_are_hashed_are_the_bytes_that_are_used(model, monkeypatc
         return sha256(data)
 
     monkeypatch.setattr(models, "sha256", exchange)
-    assert load_model(str(model)).forest.n_trees == 30
+    assert load_model(str(model)).regressor.n_trees == 30
 
 
 def test_prediction_needs_no_scikit_learn():
@@ -168,5 +172,5 @@ def test_every_shipped_file_is_part_of_a_model_that_loads():
     names = {file.stem for file in folder.iterdir() if file.suffix in (".npz", ".json")}
     assert "paper" in names
     for name in names:
-        assert isinstance(load_model(name).forest, Forest)
+        assert isinstance(load_model(name).regressor, Forest)
         assert load_model(name).path.stat().st_size < 25e6

@@ -72,6 +72,20 @@ def normalised_innovations(innovation: Array, S: Array) -> Array:
     return np.linalg.solve(np.linalg.cholesky(S), innovation[..., None])[..., 0]
 
 
+def nees(error: Array, P: Array) -> Array:
+    """Normalised estimation error squared e^T P^-1 e (K,): m on average when all is well.
+
+    Args:
+        error: (K, m) e.
+        P: (K, m, m) covariance of e; the answer is nan where it is not positive definite.
+    """
+    scale = np.sqrt(np.einsum("kii->ki", P))  # units differ by orders of magnitude
+    variances, axes = np.linalg.eigh(P / (scale[:, :, None] * scale[:, None, :]))
+    z = np.einsum("kij,ki->kj", axes, error / scale)
+    positive = (variances > 0.0).all(axis=1)
+    return np.where(positive, np.sum(z**2 / variances, axis=1), np.nan)
+
+
 def autocorrelation(z: Array, lags: int) -> list[float]:
     """Autocorrelation of a sequence (M, m) at the lags 1, 2, ... up to lags < M.
 

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from insdvl.tuner.features import SCHEMAS
 from insdvl.tuner.forest import Forest
 from insdvl.tuner.models import sha256
+from insdvl.tuner.schemas import SCHEMAS
 
 MAX_SEED = 2**32 - 1  # scikit-learn's largest
 

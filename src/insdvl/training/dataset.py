@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from insdvl.simulation.imu import ideal_imu, white_noise
 from insdvl.simulation.trajectories import BASELINE
-from insdvl.tuner.features import SCHEMAS
+from insdvl.tuner.schemas import SCHEMAS
 from insdvl.tuner.windows import CHANNELS
 
 Array = NDArray[np.float64]
@@ -40,11 +40,13 @@ class DataSet:
 
     Attributes:
         X: (M, F) features.
+        scale: (M,) variances that the answers are relative to, see `Schema`.
         q: (M,) variance per sample of the noise that was added.
         trajectory: (M,) index in BASELINE; recordings of two trajectories share no random numbers.
     """
 
     X: Array
+    scale: Array
     q: Array
     trajectory: NDArray[np.int64]
 
@@ -81,13 +83,16 @@ def build(schema: str, seed: int, jobs: int, n_windows: int = WINDOWS) -> DataSe
     )
     size = CHANNELS * n_windows
     return DataSet(
-        X=np.concatenate(parts),
+        X=np.concatenate([X for X, _ in parts]),
+        scale=np.concatenate([scale for _, scale in parts]),
         q=np.repeat([VARIANCES[j] for _, j in recordings], size),
         trajectory=np.repeat([i for i, _ in recordings], size),
     )
 
 
-def _examples(schema: str, trajectory: int, variance: int, seed: int, n_windows: int) -> Array:
+def _examples(
+    schema: str, trajectory: int, variance: int, seed: int, n_windows: int
+) -> tuple[Array, Array]:
     return SCHEMAS[schema].extract(noisy_windows(trajectory, variance, seed, n_windows))
 
 

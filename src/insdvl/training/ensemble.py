@@ -20,8 +20,8 @@ from sklearn.tree import DecisionTreeRegressor
 from insdvl.simulation.trajectories import BASELINE
 from insdvl.training import dataset
 from insdvl.training.dataset import DataSet, Indices
-from insdvl.tuner.features import SCHEMAS
 from insdvl.tuner.forest import LEAF, Forest
+from insdvl.tuner.schemas import SCHEMAS
 from insdvl.tuner.windows import CHANNELS
 
 Array = NDArray[np.float64]
@@ -151,6 +151,7 @@ def train(
 
     card = {
         "name": name,
+        "kind": "forest",
         "feature_schema": name,
         "features": list(SCHEMAS[name].names),
         "target": "variance per sample of a channel's white noise, in the square of its unit",

@@ -21,10 +21,6 @@ too, and values beyond 1e70 are refused: fourth powers stay in the range of a do
 window that is accepted has defined, finite features.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from types import MappingProxyType
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -67,23 +63,6 @@ def features(windows: Array) -> Array:
         wrong = values[~(np.abs(values) <= _HUGE)][0]
         raise ValueError(f"window {refused} has {wrong}: values must be within {_HUGE:g} of zero")
     return out
-
-
-@dataclass(frozen=True)
-class Schema:
-    """What a model is given.
-
-    Attributes:
-        names: Names of the F features, in order.
-        extract: (M, N) windows to (M, F) features.
-    """
-
-    names: tuple[str, ...]
-    extract: Callable[[Array], Array]
-
-
-#: Feature schemas by the name that a model's card gives.
-SCHEMAS: Mapping[str, Schema] = MappingProxyType({"paper": Schema(FEATURE_NAMES, features)})
 
 
 @kernel

@@ -19,9 +19,8 @@ most such a threshold exactly when it is at most the threshold rounded down to f
 what is kept. It adds the trees' answers in their order and divides by their number.
 """
 
+import io
 from collections.abc import Mapping
-from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,18 +105,15 @@ class Forest:
         self._values[leaf] = value
 
     @classmethod
-    def load(cls, file: Path | str | BinaryIO) -> "Forest":
-        """A forest from an ``.npz`` file.
+    def load(cls, data: bytes) -> "Forest":
+        """A forest from the bytes of an ``.npz`` file.
 
         Raises:
-            ForestError: The file is no such archive, or `Forest` refuses the arrays.
-            OSError: It cannot be read.
+            ForestError: They are no such archive, or `Forest` refuses the arrays.
         """
         try:
-            with np.load(file, allow_pickle=False) as archive:
+            with np.load(io.BytesIO(data), allow_pickle=False) as archive:
                 arrays = {name: archive[name] for name in archive.files}
-        except OSError:
-            raise
         except Exception as error:  # damaged bytes raise what zipfile, zlib or numpy make of them
             raise ForestError(f"no archive of arrays: {error}") from error
         return cls(arrays)

@@ -1,30 +1,32 @@
-"""A trained model: arrays in an ``.npz`` file and, beside it, a card in JSON that describes them.
+"""A trained model: its numbers in a file and, beside it, a card in JSON that describes them.
 
-The card says what the model is given (`feature_schema`), the window's number of samples, how it was
-trained and how well it does, and the SHA-256 of the ``.npz`` file. A file that is not the one of
-its card is refused; nothing in either file can run code.
+The card says what computes the answer (`kind`), what it is given (`feature_schema`), the window's
+number of samples, how it was trained and how well it does, and the SHA-256 of the file. A file that
+is not the one of its card is refused; nothing in either file can run code.
 """
 
 import hashlib
-import io
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl.tuner.features import MIN_SAMPLES, SCHEMAS, Schema
-from insdvl.tuner.forest import Forest, ForestError
+from insdvl.tuner.features import MIN_SAMPLES
+from insdvl.tuner.forest import Forest
+from insdvl.tuner.schemas import SCHEMAS, Schema
 
 Array = NDArray[np.float64]
 
 #: What a card must have, and of which type; the rest of it is for people.
 CARD_FIELDS = {
     "name": str,
+    "kind": str,
     "feature_schema": str,
     "features": list,
     "window": int,
@@ -36,23 +38,53 @@ class ModelError(ValueError):
     """A model is missing, altered, or not one that this version can use."""
 
 
+class Regressor(Protocol):
+    """What computes a model's answers.
+
+    Attributes:
+        n_features: Length F of a row.
+    """
+
+    n_features: int
+
+    def predict(self, X: Array) -> Array:
+        """The answers (M,) to rows (M, F); ValueError where a row cannot be used."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of model.
+
+    Attributes:
+        suffix: Of its file.
+        load: Makes the regressor from the bytes of the file; ValueError where they are none.
+    """
+
+    suffix: str
+    load: Callable[[bytes], Regressor]
+
+
+#: Kinds of models by the name that a card gives.
+KINDS: Mapping[str, Kind] = MappingProxyType({"forest": Kind(".npz", Forest.load)})
+
+
 @dataclass(frozen=True)
 class Model:
     """A model ready for use.
 
     Attributes:
-        path: The file of the arrays.
+        path: The file of its numbers.
         card: The card as it was read.
         window: Number of samples N of a window.
-        schema: What the forest is given.
-        forest: The trees.
+        schema: What the regressor is given, and what its answers mean.
+        regressor: What answers.
     """
 
     path: Path
     card: Mapping[str, Any]
     window: int
     schema: Schema
-    forest: Forest
+    regressor: Regressor
 
     def variances(self, windows: Array) -> Array:
         """Variance per sample of the noise in each window.
@@ -68,7 +100,8 @@ class Model:
         """
         if windows.ndim != 2 or windows.shape[1] != self.window:
             raise ValueError(f"windows must be (M, {self.window}), got {windows.shape}")
-        return self.forest.predict(self.schema.extract(windows))
+        X, scale = self.schema.extract(windows)
+        return self.schema.decode(self.regressor.predict(X), scale)
 
 
 def sha256(data: bytes) -> str:
@@ -77,46 +110,41 @@ def sha256(data: bytes) -> str:
 
 
 def load_model(name_or_path: str) -> Model:
-    """A model that ships with insdvl, by its name, or another by the path of its ``.npz`` file.
+    """A model that ships with insdvl, by its name, or another by the path of its file.
 
-    A path has a separator or ends in ``.npz``.
+    A path has a separator or ends in the suffix of a kind of model, such as ``.npz``.
 
     Raises:
         ModelError: A file is missing or altered, or its card does not fit. It names the file and
             the SHA-256 that its card expects.
     """
-    arrays_file, card_file = _files(name_or_path)
+    named = Path(name_or_path)
+    is_path = "/" in name_or_path or named.suffix in {kind.suffix for kind in KINDS.values()}
+    shipped = Path(str(files("insdvl") / "models"))
+    card_file = named.with_suffix(".json") if is_path else shipped / f"{name_or_path}.json"
     card = _card(card_file)
+    kind = KINDS[card["kind"]]
+    file = named if is_path else card_file.with_suffix(kind.suffix)
     expected = f"{card_file} expects SHA-256 {card['sha256']}"
     try:
-        data = arrays_file.read_bytes()
+        data = file.read_bytes()
     except OSError as error:
         reason = error.strerror or error
-        raise ModelError(f"cannot read the model {arrays_file}: {reason}; {expected}") from error
+        raise ModelError(f"cannot read the model {file}: {reason}; {expected}") from error
     if sha256(data) != card["sha256"]:
-        raise ModelError(
-            f"the model {arrays_file} was altered: its SHA-256 is {sha256(data)}; {expected}"
-        )
+        raise ModelError(f"the model {file} was altered: its SHA-256 is {sha256(data)}; {expected}")
     try:
-        forest = Forest.load(io.BytesIO(data))
-    except ForestError as error:
-        raise ModelError(f"the model {arrays_file} is not usable: {error}; {expected}") from error
+        regressor = kind.load(data)
+    except ValueError as error:
+        raise ModelError(f"the model {file} is not usable: {error}; {expected}") from error
     schema = _schema(card, card_file)
-    if forest.n_features != len(schema.names):
+    width = schema.width(card["window"])
+    if regressor.n_features != width:
         raise ModelError(
-            f"the model {arrays_file} has {forest.n_features} features, its schema "
-            f"{card['feature_schema']!r} has {len(schema.names)}; {expected}"
+            f"the model {file} has {regressor.n_features} features, its schema "
+            f"{card['feature_schema']!r} has {width}; {expected}"
         )
-    return Model(arrays_file, card, card["window"], schema, forest)
-
-
-def _files(name_or_path: str) -> tuple[Path, Path]:
-    """The arrays and the card of a model."""
-    if "/" in name_or_path or name_or_path.endswith(".npz"):
-        path = Path(name_or_path)
-        return path, path.with_suffix(".json")
-    shipped = Path(str(files("insdvl") / "models"))
-    return shipped / f"{name_or_path}.npz", shipped / f"{name_or_path}.json"
+    return Model(file, card, card["window"], schema, regressor)
 
 
 def _card(file: Path) -> dict[str, Any]:
@@ -135,6 +163,11 @@ def _card(file: Path) -> dict[str, Any]:
                 f"the model's card {file}: {name} must be of type {kind.__name__}, "
                 f"got {card.get(name)!r}"
             )
+    if card["kind"] not in KINDS:
+        raise ModelError(
+            f"the model's card {file}: kind {card['kind']!r} is unknown, known are "
+            f"{', '.join(KINDS)}"
+        )
     if card["window"] < MIN_SAMPLES:
         raise ModelError(
             f"the model's card {file}: window must be >= {MIN_SAMPLES}, got {card['window']}"

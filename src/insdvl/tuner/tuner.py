@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from insdvl.events import NS
 from insdvl.parameters import TunerParameters
 from insdvl.tuner.models import load_model
-from insdvl.tuner.windows import CHANNELS, Window
+from insdvl.tuner.windows import CHANNELS, Window, period
 
 Array = NDArray[np.float64]
 
@@ -72,11 +72,11 @@ class Tuner:
             stamp_ns: The sample's stamp.
             sample: (6,) specific force [m/s^2] and angular rate [rad/s], in any fixed axes.
         """
-        stamp_ns = int(stamp_ns)  # the product in `_period` is beyond 64 bits
+        stamp_ns = int(stamp_ns)
         previous = self._window.stamp_ns
         if not self._window.add(stamp_ns, sample):
             return None
-        if previous is None or self._period(stamp_ns) == self._period(previous):
+        if previous is None or period(stamp_ns, self._rate) == period(previous, self._rate):
             return None
         if not self._window.full or not self.enabled:
             return None
@@ -87,7 +87,3 @@ class Tuner:
             return None
         self._made["windows"] += 1
         return TunedNoise(stamp_ns, variances)
-
-    def _period(self, stamp_ns: int) -> int:
-        """Number of the period that a stamp lies in."""
-        return stamp_ns * self._rate.numerator // self._rate.denominator

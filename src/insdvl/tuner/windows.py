@@ -1,4 +1,7 @@
-"""The last N samples of an IMU, as long as nothing is missing between them."""
+"""The last N samples of an IMU, as long as nothing is missing between them, and when they close."""
+
+from fractions import Fraction
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,6 +9,18 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 CHANNELS = 6  # specific force x, y, z, angular rate x, y, z
+
+_Stamp = TypeVar("_Stamp", int, NDArray[np.object_])
+
+
+def period(stamp_ns: _Stamp, per_ns: Fraction) -> _Stamp:
+    """Number of the period that a stamp lies in, counted from stamp 0.
+
+    Args:
+        stamp_ns: A Python integer or an array of them: the product is beyond 64 bits.
+        per_ns: Periods in a nanosecond, exactly.
+    """
+    return stamp_ns * per_ns.numerator // per_ns.denominator
 
 
 class Window:

@@ -1,0 +1,84 @@
+"""What a tuner makes of a whole recording at once, by any estimator.
+
+The rules are the `Tuner`'s: which sample closes a window follows from the stamps alone, and no
+window spans a gap.
+"""
+
+from collections.abc import Callable
+from fractions import Fraction
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from insdvl.events import NS
+from insdvl.tuner.windows import CHANNELS, period
+
+Array = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+Indices = NDArray[np.intp]
+
+#: Windows (M, N) of one channel each to the variances (M,) of their noise.
+Estimator = Callable[[Array], Array]
+
+
+def closing_samples(stamps_ns: Stamps, window: int, rate: float, max_gap_ns: int) -> Indices:
+    """The samples at which a tuner makes an estimate.
+
+    Args:
+        stamps_ns: (N,) stamps of the samples, increasing.
+        window: Number of samples of a window.
+        rate: Of the tuner [Hz].
+        max_gap_ns: A window that spans a longer interval between stamps is not used.
+
+    Returns:
+        (K,) indices; the window of each is the `window` samples that end with it.
+
+    Raises:
+        ValueError: The stamps do not increase.
+    """
+    steps = np.diff(stamps_ns)
+    if (steps <= 0).any():
+        k = int(np.argmax(steps <= 0))
+        raise ValueError(f"stamps must increase, got {stamps_ns[k]} and then {stamps_ns[k + 1]}")
+    # The stamps times the rate's numerator are beyond 64 bits.
+    periods = period(stamps_ns.astype(object), Fraction(rate) / NS)
+    opens = np.zeros(stamps_ns.size, bool)
+    opens[1:] = periods[1:] != periods[:-1]
+    beginning = np.zeros(stamps_ns.size, np.intp)  # of the run without a gap that a sample is in
+    after_gap = np.flatnonzero(steps > max_gap_ns) + 1
+    beginning[after_gap] = after_gap
+    since = np.arange(stamps_ns.size) - np.maximum.accumulate(beginning)
+    return np.flatnonzero(opens & (since >= window - 1))
+
+
+def tuned(
+    stamps_ns: Stamps,
+    samples: Array,
+    estimate: Estimator,
+    window: int,
+    rate: float,
+    max_gap_ns: int,
+) -> tuple[Stamps, Array]:
+    """The process noise of a whole recording, as a tuner with this estimator gives it.
+
+    Args:
+        stamps_ns: (N,) increasing.
+        samples: (N, 6) finite specific force [m/s^2] and angular rate [rad/s].
+        estimate: Such as `Model.variances`, or one of `closed_form`.
+        window: Number of samples of a window.
+        rate: Of the tuner [Hz].
+        max_gap_ns: A window that spans a longer interval between stamps is not used.
+
+    Returns:
+        Stamps (K,) from which on the variances (K, 6) hold.
+
+    Raises:
+        ValueError: The stamps do not increase, or `estimate` refuses a window.
+    """
+    closing = closing_samples(stamps_ns, window, rate, max_gap_ns)
+    if not closing.size:
+        return stamps_ns[:0], np.empty((0, CHANNELS))
+    windows = sliding_window_view(samples, window, axis=0)[closing - (window - 1)]
+    variances = estimate(np.ascontiguousarray(windows).reshape(-1, window))
+    return stamps_ns[closing], variances.reshape(-1, CHANNELS)

@@ -1,0 +1,59 @@
+"""What a model is given of a window, and what its answer means: the feature schemas.
+
+A schema turns windows into rows of features and, for each window, the variance that the answer is
+relative to. A model that answers in absolute terms gives q itself; one that is relative gives
+log(q / scale), so that an IMU with all its readings multiplied by c has its variance multiplied by
+c^2, whatever c is.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl.tuner.features import FEATURE_NAMES, features
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Schema:
+    """What a model is given, and how its answer is read.
+
+    Attributes:
+        names: Names of the F features, in order; empty where they are the window's N samples.
+        extract: (M, N) windows to (M, F) features and (M,) scales, the variances in the square of
+            the window's unit that the answers are relative to; ones where they are absolute.
+        relative: Whether the answer is log(q / scale); otherwise it is q.
+    """
+
+    names: tuple[str, ...]
+    extract: Callable[[Array], tuple[Array, Array]]
+    relative: bool
+
+    def width(self, window: int) -> int:
+        """Number F of features of a window of this many samples."""
+        return len(self.names) or window
+
+    def encode(self, q: Array, scale: Array) -> Array:
+        """Answers (M,) that mean the variances q (M,) > 0 in windows of these scales (M,) > 0."""
+        return np.log(q / scale) if self.relative else q
+
+    def decode(self, answers: Array, scale: Array) -> Array:
+        """Variances q (M,) that the answers (M,) mean in windows of these scales (M,).
+
+        Where answers are relative, a window of scale 0, which has no noise, has q = 0.
+        """
+        return scale * np.exp(answers) if self.relative else answers
+
+
+def _paper(windows: Array) -> tuple[Array, Array]:
+    return features(windows), np.ones(len(windows))
+
+
+#: Feature schemas by the name that a model's card gives.
+SCHEMAS: Mapping[str, Schema] = MappingProxyType(
+    {"paper": Schema(FEATURE_NAMES, _paper, relative=False)}
+)
