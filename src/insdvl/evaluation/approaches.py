@@ -1,7 +1,8 @@
 """The rows of the comparison: filters that differ in where their process noise comes from.
 
 Names are those of the reports and of the option --rows. Some rows are the best of several
-candidates, settled on seeds of their own: the best constant Q, the best innovation-adaptive filters.
+candidates, settled on seeds of their own: the best constant Q, the best innovation-adaptive
+filters.
 """
 
 from collections.abc import Sequence
@@ -16,7 +17,7 @@ from insdvl.parameters import FilterParameters, build
 from insdvl.simulation.trajectories import AUV
 from insdvl.tuner.closed_form import degree_5
 from insdvl.tuner.models import ModelError, load_model
-from insdvl.tuner.offline import Estimate
+from insdvl.tuner.offline import Estimator
 
 #: What the filter believes, by preset: `paper` is the published filter, whose variances are used
 #: as densities and whose bias walk density is 0.001; `calibrated` is this project's.
@@ -153,9 +154,7 @@ def approach(name: str, setting: Setting) -> Approach:
 def _adaptive(
     name: str, setting: Setting, nominal: Sequence[float], xi: int, form: str
 ) -> Approach:
-    parameters = setting.filter(
-        nominal, source="adaptive", adaptive_window=xi, adaptive_form=form
-    )
+    parameters = setting.filter(nominal, source="adaptive", adaptive_window=xi, adaptive_form=form)
     return Approach(name, parameters)
 
 
@@ -194,8 +193,8 @@ def adaptives(setting: Setting, best: tuple[float, float]) -> dict[str, tuple[Ap
         best: Variances of the best constant.
     """
     xi = tuple(
-        _adaptive(f"xi={n} {form}, nominal {f:.3g}/{w:.3g}", setting, (f, w), n, form)
-        for (f, w), n, form in product((FIRST, best), _XI_GRID, ("floored", "literal"))
+        _adaptive(f"xi={n} floored, nominal {f:.3g}/{w:.3g}", setting, (f, w), n, "floored")
+        for (f, w), n in product((FIRST, best), _XI_GRID)
     )
     tau = tuple(
         Approach(
@@ -210,7 +209,7 @@ def adaptives(setting: Setting, best: tuple[float, float]) -> dict[str, tuple[Ap
 
 
 @cache
-def estimator(learner: str) -> tuple[Estimate, int]:
+def estimator(learner: str) -> tuple[Estimator, int]:
     """The estimator of a learner, and its window.
 
     Raises:
