@@ -21,7 +21,6 @@ from insdvl.tuner.closed_form import bayes_rmse
 from insdvl.tuner.features import FEATURE_NAMES, features
 from insdvl.tuner.forest import Forest
 from insdvl.tuner.models import load_model
-from insdvl.tuner.schemas import SCHEMAS
 
 N_WINDOWS = 3  # of each channel of a recording, for a data set of 1,080 examples
 

@@ -2,7 +2,7 @@
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable
 from dataclasses import asdict
 from pathlib import Path
 
@@ -119,7 +119,7 @@ def _plan(arguments: argparse.Namespace) -> Plan:
     )
 
 
-def _known(option: str, values: Sequence[str], known: Sequence[str]) -> None:
+def _known(option: str, values: Iterable[str], known: Collection[str]) -> None:
     for value in values:
         if value not in known:
             raise ValueError(f"{option}: unknown name {value!r}; known are {', '.join(known)}")

@@ -148,7 +148,7 @@ class Run:
     ) -> FoldResult:
         """The mission through a filter that is told these variances (K, 6) from stamps (K,) on."""
         m = self.mission
-        told = [
+        told: list[Event] = [
             ProcessNoise(stamp_ns, np.diag(q[:3]), np.diag(q[3:]))
             for stamp_ns, q in zip(stamps_ns.tolist(), variances, strict=True)
         ]

@@ -19,6 +19,7 @@ from insdvl.evaluation.approaches import (
     BEST_CONSTANT,
     CLOSED_FORM,
     FIRST_CONSTANT,
+    LEARNED,
     ORACLE,
     Setting,
 )
@@ -26,6 +27,7 @@ from insdvl.evaluation.comparison import Plan, compare
 from insdvl.files import check_writable, json_text, write
 from insdvl.parallel import Pool, Store, TaskError
 from insdvl.simulation.noise import SCENARIOS
+from insdvl.tuner.models import load_model
 
 #: Rows of the tables that show what an error state or the gate changes.
 _FEW = (FIRST_CONSTANT, "hcf default", BEST_CONSTANT, CLOSED_FORM, ORACLE)
@@ -44,6 +46,7 @@ PLANS: Mapping[str, Plan] = {
 ACCURACY, WINDOW, VEHICLE = "q-accuracy", "window", "vehicle"
 PARTS = (ACCURACY, *PLANS, WINDOW, VEHICLE)
 _WINDOW_RUNS = 30
+_RECORDING_RUNS, _RECORDING_TUNING_RUNS = 10, 3  # of each recording and injection
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -132,8 +135,16 @@ def _compute(part: str, arguments: argparse.Namespace, folder: Path, pool: Pool)
     elif part == WINDOW:
         document = window.study(_WINDOW_RUNS, arguments.seed, pool, store)
     else:
+        settings = vehicle.Settings.load(arguments.config)
         document = vehicle.study(
-            arguments.recordings, arguments.config, arguments.seed, pool, store
+            vehicle.load_all(arguments.recordings, settings),
+            settings,
+            {row: load_model(LEARNED[row]) for row in ("hcf paper", "hcf default")},
+            runs=_RECORDING_RUNS,
+            tuning_runs=_RECORDING_TUNING_RUNS,
+            seed=arguments.seed,
+            pool=pool,
+            store=store,
         )
     document["environment"] = parallel.environment()
     write(folder / f"{part}.json", json_text(document).encode())

@@ -4,7 +4,6 @@ A long window knows a constant variance better; a short one notices a change soo
 high rate, since a variance holds until the next one is told.
 """
 
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -86,7 +85,7 @@ def trained(window: int, pool: Pool, store: Store | None) -> Model:
         store,
         say=lambda text: None,
     )
-    return replace(shipped, card=card, window=window, regressor=Forest.load(io.BytesIO(data)))
+    return replace(shipped, card=card, window=window, regressor=Forest.load(data))
 
 
 def study(
