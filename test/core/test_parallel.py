@@ -57,7 +57,7 @@ def product(matrix, trial):
     if trial.is_interrupted:
         raise KeyboardInterrupt
     random = np.random.default_rng(trial.seed).standard_normal(matrix.shape)
-    return {"product": (random @ matrix).T, "mean": random.mean(), "process": os.getpid()}
+    return {"product": (random @ matrix)[:, ::2], "mean": random.mean(), "process": os.getpid()}
 
 
 def threads(shared, task):
