@@ -5,7 +5,8 @@ written the functions are compiled in memory, with one warning. A cache that is 
 read-only never stops a program: it costs compile time, and one warning.
 
 numba checks a cached function against its own source file only, not against the files of the
-functions that it calls. The cache folder's name therefore carries a digest of the whole package.
+functions that it calls. The cache folder's name therefore carries a digest of the whole package,
+the interpreter and numba.
 """
 
 import contextlib
@@ -44,9 +45,9 @@ def _warn_once(reason: str) -> None:
     )
 
 
-def _source_digest() -> str:
-    """Digest of the package's sources, the interpreter and numba."""
-    digest = hashlib.sha256(f"{sys.version} {numba.__version__}".encode())
+def source_digest() -> str:
+    """Digest of the package's sources, as 16 hexadecimal digits."""
+    digest = hashlib.sha256()
     package = Path(__file__).parent
     for source in sorted(package.rglob("*.py")):
         digest.update(source.relative_to(package).as_posix().encode())
@@ -72,9 +73,11 @@ def cache_dir() -> Path | None:
     user = _user_cache_dir()
     if user is not None:
         candidates.append(user)
+    build = f"{sys.version} {numba.__version__} {source_digest()}"
+    name = f"kernels-{hashlib.sha256(build.encode()).hexdigest()[:16]}"
     reason = "no home folder"
     for candidate in candidates:
-        folder = candidate / f"kernels-{_source_digest()}"
+        folder = candidate / name
         try:
             folder.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryFile(dir=folder):
