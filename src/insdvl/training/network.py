@@ -1,8 +1,8 @@
 """The convolutional network: fit with torch, turned into an ONNX file, with its card.
 
-As published: three convolutions of 30 filters with kernel 3 and ReLU, pooling, a dense layer, on a
-window of one channel; one network serves all channels. The pooling is the mean over time, which is
-what the estimate of a variance needs: a mean of a nonlinear function of the samples' differences.
+As published: three convolutions of 30 filters with kernel 3, each with ReLU and pooling, and a
+dense layer, on a window of one channel; one network serves all channels. The pooling takes the
+larger one of two neighbours.
 
 Where answers are absolute the dense layer is followed by a softplus, because a variance is
 positive; a plain dense layer is free to answer with a negative one where there is little noise.
@@ -26,6 +26,7 @@ torch, onnx and onnxruntime (`insdvl[dnn]`) are imported when a network is train
 
 import platform
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.util import find_spec
 from typing import Any
@@ -35,8 +36,8 @@ from numpy.typing import NDArray
 
 from insdvl.parallel import Pool, Result, Store
 from insdvl.training import dataset
-from insdvl.training.assessment import PUBLISHED, described, metrics, splits
-from insdvl.training.dataset import DataSet, Indices
+from insdvl.training.dataset import Indices, Recipe
+from insdvl.training.metrics import RANDOM, TARGETS, described, metrics_of, splits_of
 from insdvl.tuner.network import Network
 from insdvl.tuner.schemas import SCHEMAS
 
@@ -45,14 +46,32 @@ Array = NDArray[np.float64]
 CONVOLUTIONS = 3
 FILTERS = 30
 KERNEL = 3  # samples
-EPOCHS = 8
+POOL = 2  # samples, of which the largest remains
+MIN_WINDOW = 22  # samples: one is left at the end
 BATCH = 64  # examples
-LEARNING_RATE = 5e-3  # the largest: it rises over the first quarter of the steps, then falls
+LEARNING_RATE = 1e-2  # the largest: it rises over the first quarter of the steps, then falls
 RISE = 0.25
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A model.
+
+    Attributes:
+        schema: Name of the feature schema.
+        epochs: Times that each example is seen.
+    """
+
+    schema: str
+    epochs: int
+
+
+PRESETS = {"dnn": Preset("window", 8), "dnn-default": Preset("scaled_window", 3)}
 
 #: What training needs beside insdvl: the extra `dnn`.
 PACKAGES = ("torch", "onnx", "onnxruntime")
 
+_STREAM = (1001,)  # of the seed; not one of the data set's
 _OPSET, _IR_VERSION = 17, 8  # of 2022: onnxruntime 1.14 and later read them
 
 
@@ -61,56 +80,54 @@ def missing_packages() -> list[str]:
     return [name for name in PACKAGES if find_spec(name) is None]
 
 
-def fit(X: Array, y: Array, absolute: bool, seed: int) -> dict[str, NDArray[np.float32]]:
+def fit(X: Array, y: Array, absolute: bool, epochs: int, seed: int) -> dict[str, NDArray[np.float32]]:
     """The weights of the network for rows as they come, on one thread.
 
     Args:
         X: (M, N) windows.
         y: (M,) answers.
         absolute: Whether an answer is a variance, and so positive.
+        epochs: Times that each example is seen.
         seed: In [0, 2^32).
 
     Returns:
         Convolutions ``w1`` (30, 1, 3), ``b1`` (30,), ``w2`` (30, 30, 3), ``b2``, ``w3``, ``b3``,
-        dense layer ``w4`` (1, 30), ``b4`` (1,); where answers are absolute ``gain`` (), which the
-        softplus of the dense layer is multiplied by.
+        dense layer ``w4`` (1, 30 n) for the n samples that are left, ``b4`` (1,); and, where
+        answers are absolute, ``gain`` (1,), which the softplus of the dense layer is multiplied by.
     """
     import torch
     from torch.nn import functional
 
     torch.set_num_threads(1)
-    rng = np.random.default_rng(seed)
+    torch.use_deterministic_algorithms(True)
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=_STREAM))
     center, axes = _principal_axes(X)
     shift, gain = (0.0, y.mean()) if absolute else (y.mean(), y.std())
 
-    def drawn(*shape: int) -> NDArray[np.float32]:
-        """First weights: uniform, with the variance that keeps ReLU layers at one scale."""
-        bound = np.sqrt(6.0 / np.prod(shape[1:]))
-        return rng.uniform(-bound, bound, shape).astype(np.float32)
+    def layer(*shape: int) -> tuple[Any, Any]:
+        """Its first weights and biases, uniform within one over the root of its inputs' number."""
+        bound = 1.0 / np.sqrt(np.prod(shape[1:]))
+        weight = torch.tensor(rng.uniform(-bound, bound, shape).astype(np.float32))
+        if weight.ndim == 4:
+            weight = weight.contiguous(memory_format=torch.channels_last)  # the faster one
+        bias = torch.tensor(rng.uniform(-bound, bound, shape[0]).astype(np.float32))
+        return weight.requires_grad_(), bias.requires_grad_()
 
-    def of_convolution() -> Any:
-        weight = torch.tensor(drawn(FILTERS, FILTERS, 1, KERNEL))
-        return weight.contiguous(memory_format=torch.channels_last)  # the faster one
-
-    w1, w2, w3, w4 = (
-        torch.tensor(drawn(FILTERS, KERNEL)),
-        of_convolution(),
-        of_convolution(),
-        torch.tensor(drawn(1, FILTERS)),
-    )
-    b1, b2, b3, b4 = (torch.zeros(size) for size in (FILTERS, FILTERS, FILTERS, 1))
+    w1, b1 = layer(FILTERS, KERNEL)
+    w2, b2 = layer(FILTERS, FILTERS, 1, KERNEL)
+    w3, b3 = layer(FILTERS, FILTERS, 1, KERNEL)
+    w4, b4 = layer(1, FILTERS * _pooled(X.shape[1]))
     weights = [w1, b1, w2, b2, w3, b3, w4, b4]
-    for weight in weights:
-        weight.requires_grad_()
     whitening, origin = (torch.tensor(array.astype(np.float32)) for array in (axes, center))
 
     def answers(x: Any) -> Any:
         """Of windows (B, 1, 1, N), in units of the gain."""
         kernels = w1 @ whitening
-        x = functional.conv2d(x, kernels.view(FILTERS, 1, 1, KERNEL), b1 - kernels @ origin)
-        x = functional.conv2d(functional.relu(x), w2, b2)
-        x = functional.conv2d(functional.relu(x), w3, b3)
-        x = functional.linear(functional.relu(x).mean((2, 3)), w4, b4)[:, 0]
+        raw = kernels.view(FILTERS, 1, 1, KERNEL), b1 - kernels @ origin
+        for weight, bias in (raw, (w2, b2), (w3, b3)):
+            x = functional.relu(functional.conv2d(x, weight, bias))
+            x = functional.max_pool2d(x, (1, POOL))
+        x = functional.linear(x.flatten(1), w4, b4)[:, 0]
         return functional.softplus(x) if absolute else x
 
     rows = torch.tensor(X.astype(np.float32))[:, None, None, :]
@@ -118,9 +135,9 @@ def fit(X: Array, y: Array, absolute: bool, seed: int) -> dict[str, NDArray[np.f
     optimizer = torch.optim.Adam(weights, lr=LEARNING_RATE)
     steps = max(len(X) // BATCH, 1)
     schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimizer, LEARNING_RATE, total_steps=EPOCHS * steps, pct_start=RISE
+        optimizer, LEARNING_RATE, total_steps=epochs * steps, pct_start=RISE
     )
-    for _ in range(EPOCHS):
+    for _ in range(epochs):
         order = rng.permutation(len(X))
         for step in range(steps):
             batch = torch.tensor(order[step * BATCH : (step + 1) * BATCH])
@@ -148,6 +165,13 @@ def fit(X: Array, y: Array, absolute: bool, seed: int) -> dict[str, NDArray[np.f
     return {name: np.ascontiguousarray(array, np.float32) for name, array in folded.items()}
 
 
+def _pooled(n: int) -> int:
+    """Samples that are left of n after the convolutions and their pooling."""
+    for _ in range(CONVOLUTIONS):
+        n = (n - KERNEL + 1) // POOL
+    return n
+
+
 def _principal_axes(X: Array) -> tuple[Array, Array]:
     """Mean (3,) of all runs of three samples, and the map (3, 3) to axes of unit variance."""
     runs = np.lib.stride_tricks.sliding_window_view(X, KERNEL, axis=1).reshape(-1, KERNEL)
@@ -169,12 +193,14 @@ def to_onnx(weights: Mapping[str, NDArray[np.float32]], window: int) -> bytes:
         inputs = [f"x{layer - 1}", f"w{layer}", f"b{layer}"]
         nodes += [
             helper.make_node("Conv", inputs, [f"c{layer}"]),
-            helper.make_node("Relu", [f"c{layer}"], [f"x{layer}"]),
+            helper.make_node("Relu", [f"c{layer}"], [f"r{layer}"]),
+            helper.make_node(
+                "MaxPool", [f"r{layer}"], [f"x{layer}"], kernel_shape=[POOL], strides=[POOL]
+            ),
         ]
     nodes += [
-        helper.make_node("GlobalAveragePool", ["x3"], ["mean"]),
-        helper.make_node("Flatten", ["mean"], ["pooled"]),
-        helper.make_node("Gemm", ["pooled", "w4", "b4"], ["dense"], transB=1),
+        helper.make_node("Flatten", [f"x{CONVOLUTIONS}"], ["flat"]),
+        helper.make_node("Gemm", ["flat", "w4", "b4"], ["dense"], transB=1),
     ]
     last = "dense"
     if "gain" in weights:
@@ -205,63 +231,74 @@ def to_onnx(weights: Mapping[str, NDArray[np.float32]], window: int) -> bytes:
 
 
 def train(
-    name: str,
-    schema: str,
+    preset: str,
+    window: int,
     seed: int,
     pool: Pool,
     store: Store | None,
     say: Callable[[str], None],
     n_windows: int = dataset.WINDOWS,
 ) -> tuple[bytes, dict[str, Any]]:
-    """The file of a network, and its card without the hash.
+    """The file of a model, and its card without name and hash.
 
     Args:
-        name: Of the model.
-        schema: Name of the feature schema.
+        preset: Key of PRESETS.
+        window: Number of samples of a window, at least MIN_WINDOW.
         seed: In [0, 2^32); of the data set, of the split, and of the network.
-        pool: Runs the fits, one for each split.
-        store: Keeps finished fits, or None.
+        pool: Does the work; the result does not depend on it.
+        store: Keeps finished parts.
         say: Is told what is being done.
-        n_windows: Windows of each channel of a recording.
+        n_windows: See `Recipe`.
     """
-    data = dataset.build(schema, seed, 1, n_windows)
-    say(f"data set: {data.q.size} examples, {data.X.shape[1]} samples each")
-    tasks = {split: training for split, (training, _) in splits(data, seed).items()}
-    fits = pool.run(_fit, tasks, (data, schema, seed), store, f"networks {name}")
-    files = {
-        split: to_onnx(weights, dataset.WINDOW) for split, weights in zip(tasks, fits, strict=True)
-    }
+    name, epochs = PRESETS[preset].schema, PRESETS[preset].epochs
+    schema = SCHEMAS[name]
+    recipe = Recipe(name, seed, window, n_windows)
+    data = dataset.build(recipe, pool, store)
+    say(f"data set: {data.q.size} examples, {data.X.shape[1]} samples")
+
+    splits = splits_of(data, seed)
+    fits = pool.run(
+        _fit,
+        {split: training for split, (training, _) in splits.items()},
+        shared=(data.X, schema.encode(data.q, data.scale), not schema.relative, epochs, seed),
+        store=store,
+        label="fits",
+    )
+    files = {split: to_onnx(weights, window) for split, weights in zip(splits, fits, strict=True)}
     networks = {split: Network.load(file) for split, file in files.items()}
+
+    def predict(split: str, examples: Indices) -> Array:
+        answers = networks[split].predict(data.X[examples])
+        return schema.decode(answers, data.scale[examples])
+
+    metrics = metrics_of(data, splits, predict, say)
     card = {
-        "name": name,
         "kind": "network",
-        "feature_schema": schema,
-        "features": list(SCHEMAS[schema].names),
-        "target": "variance per sample of a channel's white noise, in the square of its unit",
-        "window": dataset.WINDOW,
-        "data_set": described(data, seed, n_windows),
+        "feature_schema": name,
+        "features": list(schema.names),
+        "target": TARGETS[schema.relative],
+        "window": window,
+        "data_set": described(recipe, data),
         "network": {
             "convolutions": CONVOLUTIONS,
             "filters": FILTERS,
             "kernel": KERNEL,
-            "pooling": "mean over time",
-            "epochs": EPOCHS,
+            "pooling": f"largest of {POOL}",
+            "epochs": epochs,
             "batch": BATCH,
             "learning_rate": LEARNING_RATE,
             "seed": seed,
-            "trained_on": PUBLISHED,
+            "trained_on": RANDOM,
         },
-        "metrics": metrics(networks, data, SCHEMAS[schema], seed, say),
+        "metrics": metrics,
         "versions": {
             "python": platform.python_version(),
             **{package: version(package) for package in ("numpy", "scipy", *PACKAGES)},
         },
     }
-    return files[PUBLISHED], card
+    return files[RANDOM], card
 
 
-def _fit(shared: tuple[DataSet, str, int], training: Indices) -> Result:
-    data, name, seed = shared
-    schema = SCHEMAS[name]
-    y = schema.encode(data.q[training], data.scale[training])
-    return fit(data.X[training], y, not schema.relative, seed)
+def _fit(shared: tuple[Array, Array, bool, int, int], training: Indices) -> Result:
+    X, y, absolute, epochs, seed = shared
+    return fit(X[training], y[training], absolute, epochs, seed)
