@@ -425,18 +425,18 @@ def from_ordinary_errors(
 
 
 def body_velocity_jacobian(C_n_b: Array, v_n: Array, *, invariant: bool, n: int) -> Array:
-    """Jacobian (3, n) of the body velocity C_b_n v_n: C_b_n dv, and C_b_n [v x] psi for `ned`."""
-    J = np.zeros((3, n))
-    J[:, VELOCITY] = C_n_b.T
+    """Jacobian (..., 3, n) of the body velocity C_b_n v_n: C_b_n dv, and C_b_n [v x] psi for `ned`.
+
+    Args:
+        C_n_b: (..., 3, 3) attitude.
+        v_n: (..., 3) velocity [m/s], NED.
+        n: Number of error states.
+    """
+    C_b_n = np.swapaxes(C_n_b, -1, -2)
+    J = np.zeros((*v_n.shape, n))
+    J[..., VELOCITY] = C_b_n
     if not invariant:
-        J[:, ATTITUDE] = C_n_b.T @ cross_matrix(v_n)
-    return J
-
-
-def nav_velocity_jacobian(v_n: Array, *, invariant: bool, n: int) -> Array:
-    """Jacobian (3, n) of the velocity in NED: dv, and -[v x] psi for `invariant`."""
-    J = np.zeros((3, n))
-    J[:, VELOCITY] = np.eye(3)
-    if invariant:
-        J[:, ATTITUDE] = -cross_matrix(v_n)
+        # Row j of the cross product with the unit vectors is column j of [v x].
+        v_x = np.swapaxes(np.cross(v_n[..., None, :], np.eye(3)), -1, -2)
+        J[..., ATTITUDE] = C_b_n @ v_x
     return J

@@ -23,7 +23,7 @@ from insdvl.events import NS, Dvl, Imu, Initial, Origin, ProcessNoise
 from insdvl.frames import CONVENTIONS, rotation_from_rpy
 from insdvl.kernels import kernel
 from insdvl.parameters import FilterParameters
-from insdvl.process_noise import ProcessNoiseSource
+from insdvl.process_noise import ProcessNoiseSource, variational
 from insdvl.state import (
     NEVER,
     Constants,
@@ -46,7 +46,8 @@ class UpdateReport:
     Attributes:
         innovation: (3,) measured minus predicted velocity [m/s], DVL axes, forward-right-down.
         S: (3, 3) covariance of the innovation [(m/s)^2].
-        nis: Normalised innovation squared, chi-square with 3 degrees of freedom when all is well.
+        nis: Normalised innovation squared, chi-square with 3 degrees of freedom when all is well;
+            of the filter's own prediction also where the update adapts it.
         accepted: Whether the state was corrected.
         reason: Empty, or why not: ``gate``, ``not_initialised``, ``bad_covariance``; ``restarted``
             where the velocity was set to the measured one.
@@ -399,6 +400,9 @@ class Filter:
         if nis > self._gate:
             accepted, reason = self._recover(state, dvl, innovation, R)
         else:
+            if self.process_noise.tau is not None:
+                s["P"] = variational(s["P"], w["H"], R, innovation, self.process_noise.tau)
+                _innovate(state, self._workspace, self.constants, dvl.v_d, w_ib_b, R)
             _correct(state, self._workspace, self.constants, R)
             s["rejections"] = 0
             self.process_noise.innovated(s, w["K"], innovation)

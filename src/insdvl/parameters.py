@@ -344,8 +344,16 @@ class ProcessNoiseParameters:
     )
     adaptive_form: str = parameter(
         "floored",
-        "Whether the adaptive estimate is added to the nominal Q or replaces it.",
-        choices=("floored", "literal"),
+        "What the adaptive source does: adds its estimate to the nominal Q; replaces Q by it; or "
+        "leaves Q and estimates the predicted covariance at each update by variational Bayes.",
+        choices=("floored", "literal", "variational"),
+    )
+    adaptive_prior: float = parameter(
+        10.0,
+        "Weight of the predicted covariance against one innovation, of the form 'variational' "
+        "(tau).",
+        above=0.0,
+        high=1e6,
     )
 
 

@@ -11,7 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
+
+from insdvl.kernels import kernel
+from insdvl.rotation import quaternions
 
 Array = NDArray[np.float64]
 
@@ -49,7 +51,12 @@ def smae(error: Array) -> float:
 
 def attitude_error(C: Array, C_true: Array) -> Array:
     """psi (N, 3) [rad] about navigation axes, with C_true = exp([psi x]) C."""
-    return Rotation.from_matrix(C_true @ np.swapaxes(C, -1, -2)).as_rotvec()
+    q = np.empty((len(C), 4))
+    quaternions(q, C_true @ np.swapaxes(C, -1, -2))
+    vector, scalar = q[:, :3], q[:, 3:]
+    sine = np.linalg.norm(vector, axis=1, keepdims=True)  # of half the angle
+    angle = 2.0 * np.arctan2(sine, scalar)
+    return vector * np.divide(angle, sine, out=np.full_like(sine, 2.0), where=sine > 0.0)
 
 
 def path_length(p_n: Array) -> float:
@@ -70,6 +77,39 @@ def normalised_innovations(innovation: Array, S: Array) -> Array:
         S: (M, 3, 3) covariance of nu.
     """
     return np.linalg.solve(np.linalg.cholesky(S), innovation[..., None])[..., 0]
+
+
+def nees(error: Array, P: Array) -> Array:
+    """Normalised estimation error squared e^T P^-1 e (K,): m on average when all is well.
+
+    Args:
+        error: (K, m) e.
+        P: (K, m, m) covariance of e; the answer is nan where it is not positive definite.
+    """
+    out = np.empty(len(error))
+    _nees(np.ascontiguousarray(error), np.ascontiguousarray(P), out)
+    return out
+
+
+@kernel
+def _nees(error: Array, P: Array, out: Array) -> None:
+    """|L^-1 e|^2 with P = L L^T."""
+    m = error.shape[1]
+    L = np.empty((m, m))
+    z = np.empty(m)
+    for k in range(error.shape[0]):
+        out[k] = 0.0
+        for i in range(m):
+            for j in range(i + 1):
+                total = P[k, i, j]
+                for a in range(j):
+                    total -= L[i, a] * L[j, a]
+                L[i, j] = np.sqrt(total) if i == j else total / L[j, j]
+            z[i] = error[k, i]
+            for a in range(i):
+                z[i] -= L[i, a] * z[a]
+            z[i] /= L[i, i]
+            out[k] += z[i] ** 2
 
 
 def autocorrelation(z: Array, lags: int) -> list[float]:

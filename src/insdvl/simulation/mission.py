@@ -114,7 +114,7 @@ def simulate(
     trajectory: Trajectory,
     noise: ProfileFactory,
     *,
-    seed: int,
+    seed: int | np.random.SeedSequence,
     duration: float | None = None,
     imu: ImuModel = DEFAULT_IMU,
     dvl: DvlModel = DEFAULT_DVL,

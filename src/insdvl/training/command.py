@@ -1,77 +1,101 @@
 """The command `insdvl train`: data set -> model and card."""
 
 import argparse
-import io
 import json
 import os
 import sys
 import tempfile
 from collections.abc import Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+from insdvl import parallel
+from insdvl.parallel import Store, TaskError, Workers, WorkersError
+from insdvl.training import dataset
+from insdvl.tuner.models import KINDS, sha256
 
-from insdvl.tuner.forest import Forest
-from insdvl.tuner.models import sha256
-from insdvl.tuner.schemas import SCHEMAS
+#: Module that trains each preset, by ``train(preset, window, seed, pool, store, say)``. Only the
+#: one that is asked for is imported: the others may need packages that are not there.
+PRESETS = {
+    "default": "insdvl.training.ensemble",
+    "paper": "insdvl.training.ensemble",
+}
 
 MAX_SEED = 2**32 - 1  # scikit-learn's largest
+MIN_WINDOW, MAX_WINDOW = 10, 2000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's options."""
     parser.add_argument(
         "--preset",
-        default="paper",
-        choices=tuple(SCHEMAS),
-        help="which model; paper: 24 features, as published (default)",
+        default="default",
+        choices=tuple(PRESETS),
+        help="which model; default: trees that work at any scale; paper: trees as published",
     )
     parser.add_argument(
-        "--jobs",
+        "--window",
         type=int,
-        default=os.cpu_count() or 1,
+        default=dataset.WINDOW,
         metavar="N",
-        help="processes; the model does not depend on it (default: all cores)",
+        help="samples of a window; if not 200 the model is named PRESET-N (default: 200)",
     )
     parser.add_argument(
-        "--seed", type=int, default=0, help="of data set, split and ensemble (default: 0)"
+        "--seed", type=int, default=0, help="of data set, split and training (default: 0)"
     )
     parser.add_argument(
         "--out",
         type=Path,
         default=Path("models"),
         metavar="DIR",
-        help="folder of the two files, PRESET.npz and PRESET.json (default: ./models)",
+        help="folder of the model's file and card (default: ./models)",
     )
+    parallel.add_arguments(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Train, and write the two files; the exit code is 2 where the input is refused."""
+    """Train, and write the two files; the exit code is 2 where the input is refused.
+
+    Finished parts are kept beside the files until these are written: training that was interrupted
+    goes on from there.
+    """
+    preset, window, out = arguments.preset, arguments.window, arguments.out
+    name = preset if window == dataset.WINDOW else f"{preset}-{window}"
     try:
-        _check(arguments)
+        workers = _checked(arguments)
     except (ValueError, OSError) as error:
         print(f"insdvl train: {error}", file=sys.stderr)
         return 2
-    # Only training needs scikit-learn: the other commands start without it.
-    from insdvl.training.ensemble import train
-
-    forest, card = train(arguments.preset, arguments.seed, arguments.jobs, print)
+    module = import_module(PRESETS[preset])
     try:
-        written = write(arguments.out, forest, card)
-    except OSError as error:
-        print(f"insdvl train: cannot write the model: {error}", file=sys.stderr)
+        with parallel.pool(workers) as pool:
+            store = Store(
+                out / f".{name}.work",
+                {"preset": preset, "window": window, "seed": arguments.seed},
+            )
+            data, card = module.train(preset, window, arguments.seed, pool, store, print)
+            written = write(out, data, {"name": name, **card})
+            store.clear()
+    except (WorkersError, OSError) as error:
+        print(f"insdvl train: {error}", file=sys.stderr)
         return 2
+    except TaskError as error:
+        print(f"insdvl train: {error}", file=sys.stderr)
+        return 1
     for path in written:
         print(f"{path}: {path.stat().st_size} bytes")
     return 0
 
 
-def _check(arguments: argparse.Namespace) -> None:
-    if arguments.jobs < 1:
-        raise ValueError(f"--jobs must be >= 1, got {arguments.jobs}")
+def _checked(arguments: argparse.Namespace) -> Workers:
+    workers = parallel.workers_of(arguments)
     if not 0 <= arguments.seed <= MAX_SEED:
         raise ValueError(f"--seed must be within 0 to {MAX_SEED}, got {arguments.seed}")
+    if not MIN_WINDOW <= arguments.window <= MAX_WINDOW:
+        raise ValueError(
+            f"--window must be within {MIN_WINDOW} to {MAX_WINDOW}, got {arguments.window}"
+        )
     # Minutes of work come before the files: whether they can be written is tried first.
     existing = arguments.out
     while not existing.exists():
@@ -83,21 +107,15 @@ def _check(arguments: argparse.Namespace) -> None:
             pass
     except OSError as error:
         raise ValueError(f"--out {arguments.out}: {error.strerror or error}") from error
+    return workers
 
 
-def write(out: Path, forest: Forest, card: Mapping[str, Any]) -> tuple[Path, Path]:
-    """The files of a model: both are complete before either takes its name.
-
-    The arrays are not compressed, so that their bytes, and the hash, do not depend on a
-    compressor's version.
-    """
-    buffer = io.BytesIO()
-    arrays: dict[str, Any] = forest.arrays
-    np.savez(buffer, **arrays)
-    data = buffer.getvalue()
+def write(out: Path, data: bytes, card: Mapping[str, Any]) -> tuple[Path, Path]:
+    """The files of a model: both are complete before either takes its name."""
     text = json.dumps({**card, "sha256": sha256(data)}, indent=2) + "\n"
     out.mkdir(parents=True, exist_ok=True)
-    targets = out / f"{card['name']}.npz", out / f"{card['name']}.json"
+    name = card["name"]
+    targets = out / f"{name}{KINDS[card['kind']].suffix}", out / f"{name}.json"
     with tempfile.TemporaryDirectory(dir=out, prefix=".train-") as folder:
         for target, content in zip(targets, (data, text.encode()), strict=True):
             (Path(folder) / target.name).write_bytes(content)

@@ -6,6 +6,9 @@ examples. The variances are 15 equally spaced values from 0.001 to 0.05: the tex
 and the number, and equal spacing is the plain reading. The best possible estimator, which knows
 the grid, has an RMSE of 2.6e-3 there; with equal ratios in place of equal steps it would be 1.7e-3.
 
+Windows of another length lie in the same recordings: shorter ones begin where those of 200 samples
+do, longer ones follow each other, as many as 400 s hold.
+
 Every recording has its own random stream, made from the seed, the trajectory and the variance, so
 that the data are the same on any number of workers.
 """
@@ -13,9 +16,9 @@ that the data are the same on any number of workers.
 from dataclasses import dataclass
 
 import numpy as np
-from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
+from insdvl.parallel import Pool, Result, Store
 from insdvl.simulation.imu import ideal_imu, white_noise
 from insdvl.simulation.trajectories import BASELINE
 from insdvl.tuner.schemas import SCHEMAS
@@ -27,11 +30,39 @@ Indices = NDArray[np.intp]
 RATE = 100  # Hz
 WINDOW = 200  # samples
 WINDOWS = 200  # of each channel of a recording
+SAMPLES = WINDOWS * WINDOW  # of each channel of a recording
 VARIANCES = np.linspace(0.001, 0.05, 15)
 TRAIN_FRACTION = 0.8
 
 #: Streams of a seed that belong to no recording; those have (trajectory, variance).
 _SPLIT_STREAM = (1000,)
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Which data set; its first windows only where n_windows is given.
+
+    Attributes:
+        schema: Name of the feature schema.
+        seed: Any non-negative integer.
+        window: Number of samples N of a window, at most SAMPLES.
+        n_windows: Windows of each channel of a recording, from its start, as far as 400 s go.
+    """
+
+    schema: str
+    seed: int
+    window: int = WINDOW
+    n_windows: int = WINDOWS
+
+    @property
+    def stride(self) -> int:
+        """Samples from the beginning of a window to that of the next."""
+        return max(self.window, WINDOW)
+
+    @property
+    def windows_per_channel(self) -> int:
+        """Windows of each channel of a recording."""
+        return min(self.n_windows, SAMPLES // self.stride)
 
 
 @dataclass(frozen=True)
@@ -51,49 +82,50 @@ class DataSet:
     trajectory: NDArray[np.int64]
 
 
-def noisy_windows(trajectory: int, variance: int, seed: int, n_windows: int = WINDOWS) -> Array:
-    """Windows (6 * n_windows, WINDOW) of one recording: ideal readings and white noise.
+def noisy_windows(recipe: Recipe, trajectory: int, variance: int) -> Array:
+    """Windows (6 * windows_per_channel, window) of one recording: ideal readings and white noise.
 
     Args:
+        recipe: Of the data set.
         trajectory: Index in BASELINE.
         variance: Index in VARIANCES.
-        seed: Of the data set.
-        n_windows: Windows of each channel, from the start of the trajectory.
     """
-    stamps_s = np.arange(1, n_windows * WINDOW + 1) / RATE
+    n, stride = recipe.windows_per_channel, recipe.stride
+    stamps_s = np.arange(1, n * stride + 1) / RATE
     f_b, w_ib_b = ideal_imu(list(BASELINE.values())[trajectory], stamps_s, 1.0 / RATE)
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(trajectory, variance)))
+    stream = np.random.SeedSequence(recipe.seed, spawn_key=(trajectory, variance))
     readings = np.hstack([f_b, w_ib_b])
-    readings += white_noise(np.full(readings.shape, VARIANCES[variance]), rng)
-    return np.ascontiguousarray(readings.T).reshape(CHANNELS * n_windows, WINDOW)
+    readings += white_noise(
+        np.full(readings.shape, VARIANCES[variance]), np.random.default_rng(stream)
+    )
+    windows = np.ascontiguousarray(readings.T).reshape(CHANNELS * n, stride)
+    return np.ascontiguousarray(windows[:, : recipe.window])
 
 
-def build(schema: str, seed: int, jobs: int, n_windows: int = WINDOWS) -> DataSet:
-    """The data set, the same for any number of jobs.
+def build(recipe: Recipe, pool: Pool, store: Store | None = None) -> DataSet:
+    """The data set, the same wherever and by however many it is made.
 
     Args:
-        schema: Name of the feature schema.
-        seed: Any non-negative integer.
-        jobs: Number of processes.
-        n_windows: See `noisy_windows`.
+        recipe: Which.
+        pool: Computes the recordings.
+        store: Keeps them.
     """
-    recordings = [(i, j) for i in range(len(BASELINE)) for j in range(len(VARIANCES))]
-    parts = Parallel(n_jobs=jobs)(
-        delayed(_examples)(schema, i, j, seed, n_windows) for i, j in recordings
-    )
-    size = CHANNELS * n_windows
+    recordings = {
+        f"{name}-{j:02}": (i, j) for i, name in enumerate(BASELINE) for j in range(VARIANCES.size)
+    }
+    parts = pool.run(_examples, recordings, shared=recipe, store=store, label="data set")
+    size = CHANNELS * recipe.windows_per_channel
     return DataSet(
-        X=np.concatenate([X for X, _ in parts]),
-        scale=np.concatenate([scale for _, scale in parts]),
-        q=np.repeat([VARIANCES[j] for _, j in recordings], size),
-        trajectory=np.repeat([i for i, _ in recordings], size),
+        X=np.concatenate([part["X"] for part in parts]),
+        scale=np.concatenate([part["scale"] for part in parts]),
+        q=np.repeat([VARIANCES[j] for _, j in recordings.values()], size),
+        trajectory=np.repeat([i for i, _ in recordings.values()], size),
     )
 
 
-def _examples(
-    schema: str, trajectory: int, variance: int, seed: int, n_windows: int
-) -> tuple[Array, Array]:
-    return SCHEMAS[schema].extract(noisy_windows(trajectory, variance, seed, n_windows))
+def _examples(recipe: Recipe, recording: tuple[int, int]) -> Result:
+    X, scale = SCHEMAS[recipe.schema].extract(noisy_windows(recipe, *recording))
+    return {"X": X, "scale": scale}
 
 
 def random_split(data: DataSet, seed: int) -> tuple[Indices, Indices]:

@@ -1,12 +1,11 @@
 """The ensemble of regression trees: fit with scikit-learn, turned into flat arrays, with its card.
 
-30 bagged trees. "Minimum of 8 leaves" is read as a minimum leaf size of 8. The model is trained on
-the random 80 % of the data set, as published. Beside the error on the other 20 % stands the one
-without leakage: each trajectory once is left out of the training of a model of its own.
+30 bagged trees. "Minimum of 8 leaves" is read as a minimum leaf size of 8 in the preset `paper`.
 """
 
+import io
 import platform
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import joblib
@@ -17,35 +16,42 @@ from numpy.typing import NDArray
 from sklearn.ensemble import BaggingRegressor
 from sklearn.tree import DecisionTreeRegressor
 
-from insdvl.simulation.trajectories import BASELINE
+from insdvl.parallel import Pool, Result, Store
 from insdvl.training import dataset
-from insdvl.training.dataset import DataSet, Indices
+from insdvl.training.dataset import Indices, Recipe
+from insdvl.training.metrics import RANDOM, described, metrics_of, splits_of
 from insdvl.tuner.forest import LEAF, Forest
 from insdvl.tuner.schemas import SCHEMAS
-from insdvl.tuner.windows import CHANNELS
 
 Array = NDArray[np.float64]
 
 TREES = 30
-MIN_SAMPLES_LEAF = 8
+
+#: Fewest examples in a leaf of each preset, whose name is that of its feature schema, too.
+PRESETS = {"paper": 8, "default": 200}
+
+TARGETS = {
+    False: "variance per sample of a channel's white noise, in the square of its unit",
+    True: "logarithm of that variance over the scale that the feature schema gives",
+}
 
 
-def fit(X: Array, q: Array, seed: int, jobs: int) -> BaggingRegressor:
-    """The ensemble, the same for any number of jobs.
+def fit(X: Array, y: Array, min_samples_leaf: int, seed: int) -> BaggingRegressor:
+    """The ensemble.
 
     Args:
         X: (M, F) features.
-        q: (M,) answers.
+        y: (M,) answers.
+        min_samples_leaf: Fewest examples in a leaf.
         seed: In [0, 2^32).
-        jobs: Number of processes.
     """
     ensemble = BaggingRegressor(
-        DecisionTreeRegressor(min_samples_leaf=MIN_SAMPLES_LEAF),
+        DecisionTreeRegressor(min_samples_leaf=min_samples_leaf),
         n_estimators=TREES,
         random_state=seed,
-        n_jobs=jobs,
+        n_jobs=1,
     )
-    return ensemble.fit(X, q)
+    return ensemble.fit(X, y)
 
 
 def to_forest(ensemble: BaggingRegressor) -> Forest:
@@ -94,87 +100,60 @@ def _rounded_down(threshold: Array) -> NDArray[np.float32]:
     return rounded
 
 
-def errors(forest: Forest, data: DataSet, examples: Indices) -> dict[str, float]:
-    """RMSE, in the unit of q, and RMSE of the relative error, on some of the examples."""
-    q = data.q[examples]
-    error = forest.predict(data.X[examples]) - q
-    return {
-        "rmse": _rounded(np.sqrt(np.mean(error**2))),
-        "relative_rmse": _rounded(np.sqrt(np.mean((error / q) ** 2))),
-    }
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.5g}")
-
-
 def train(
-    name: str, seed: int, jobs: int, say: Callable[[str], None], n_windows: int = dataset.WINDOWS
-) -> tuple[Forest, dict[str, Any]]:
-    """A model of the feature schema `name`, and its card without the hash.
+    preset: str,
+    window: int,
+    seed: int,
+    pool: Pool,
+    store: Store | None,
+    say: Callable[[str], None],
+    n_windows: int = dataset.WINDOWS,
+) -> tuple[bytes, dict[str, Any]]:
+    """The file of a model, and its card without name and hash.
 
     Args:
-        name: Of the feature schema, and of the model.
+        preset: Key of PRESETS, and name of the feature schema.
+        window: Number of samples of a window.
         seed: In [0, 2^32); of the data set, of the split, and of the ensemble.
-        jobs: Number of processes; the result does not depend on it.
+        pool: Does the work; the result does not depend on it.
+        store: Keeps finished parts.
         say: Is told what is being done.
-        n_windows: Windows of each channel of a recording.
+        n_windows: See `Recipe`.
     """
-    data = dataset.build(name, seed, jobs, n_windows)
+    schema = SCHEMAS[preset]
+    recipe = Recipe(preset, seed, window, n_windows)
+    data = dataset.build(recipe, pool, store)
     say(f"data set: {data.q.size} examples, {data.X.shape[1]} features")
 
-    training, test = dataset.random_split(data, seed)
-    forest = to_forest(fit(data.X[training], data.q[training], seed, jobs))
-    published = {
-        "training": training.size,
-        "test": test.size,
-        **errors(forest, data, test),
-    }
-    say(f"random split: {_in_words(published)}")
+    splits = splits_of(data, seed)
+    fits = pool.run(
+        _fit,
+        {name: training for name, (training, _) in splits.items()},
+        shared=(data.X, schema.encode(data.q, data.scale), PRESETS[preset], seed),
+        store=store,
+        label="fits",
+    )
+    forests = {name: Forest(arrays) for name, arrays in zip(splits, fits, strict=True)}
 
-    by_trajectory: dict[str, Any] = {}
-    for unseen, trajectory in enumerate(BASELINE):
-        others, left_out = dataset.trajectory_split(data, unseen)
-        other = to_forest(fit(data.X[others], data.q[others], seed, jobs))
-        by_trajectory[trajectory] = {
-            "training": others.size,
-            "test": left_out.size,
-            **errors(other, data, left_out),
-        }
-        say(f"{trajectory} unseen: {_in_words(by_trajectory[trajectory])}")
-    # All four test sets have the same size, so the mean square over all is the mean of theirs.
-    overall = {
-        measure: _rounded(np.sqrt(np.mean([m[measure] ** 2 for m in by_trajectory.values()])))
-        for measure in ("rmse", "relative_rmse")
-    }
-    say(f"all four: {_in_words(overall)}")
+    def predict(split: str, examples: Indices) -> Array:
+        answers = forests[split].predict(data.X[examples])
+        return schema.decode(answers, data.scale[examples])
 
+    metrics = metrics_of(data, splits, predict, say)
     card = {
-        "name": name,
         "kind": "forest",
-        "feature_schema": name,
-        "features": list(SCHEMAS[name].names),
-        "target": "variance per sample of a channel's white noise, in the square of its unit",
-        "window": dataset.WINDOW,
-        "data_set": {
-            "trajectories": list(BASELINE),
-            "rate_hz": dataset.RATE,
-            "channels": CHANNELS,
-            "windows_per_channel": n_windows,
-            "variances": [_rounded(q) for q in dataset.VARIANCES],
-            "examples": data.q.size,
-            "seed": seed,
-        },
+        "feature_schema": preset,
+        "features": list(schema.names),
+        "target": TARGETS[schema.relative],
+        "window": window,
+        "data_set": described(recipe, data),
         "ensemble": {
             "trees": TREES,
-            "min_samples_leaf": MIN_SAMPLES_LEAF,
+            "min_samples_leaf": PRESETS[preset],
             "seed": seed,
-            "trained_on": "random_split",
+            "trained_on": RANDOM,
         },
-        "metrics": {
-            "random_split": published,
-            "trajectory_split": {**overall, "unseen": by_trajectory},
-        },
+        "metrics": metrics,
         "versions": {
             "python": platform.python_version(),
             "numpy": np.__version__,
@@ -183,8 +162,13 @@ def train(
             "joblib": joblib.__version__,
         },
     }
-    return forest, card
+    # Not compressed, so that the bytes, and the hash, do not depend on a compressor's version.
+    buffer = io.BytesIO()
+    arrays: dict[str, Any] = forests[RANDOM].arrays
+    np.savez(buffer, **arrays)
+    return buffer.getvalue(), card
 
 
-def _in_words(metrics: Mapping[str, Any]) -> str:
-    return f"RMSE {metrics['rmse']:.4g}, relative {100.0 * metrics['relative_rmse']:.3g} %"
+def _fit(shared: tuple[Array, Array, int, int], training: Indices) -> Result:
+    X, y, min_samples_leaf, seed = shared
+    return to_forest(fit(X[training], y[training], min_samples_leaf, seed)).arrays

@@ -14,7 +14,8 @@ from insdvl.kernels import kernel
 
 Array = NDArray[np.float64]
 
-#: A std of at most this part of the window's largest |x| is the rounding of its samples.
+#: A std of at most this part of the window's largest |x| is rounding, about 50 times that of one
+#: sample.
 ROUNDING = 1e-14
 #: A smaller std counts as zero, and larger values are refused: fourth powers stay in range.
 TINY, HUGE = 1e-70, 1e70

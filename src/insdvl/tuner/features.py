@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl.kernels import kernel
+from insdvl.tuner.detrend import HUGE, ROUNDING, TINY
 
 Array = NDArray[np.float64]
 
@@ -35,8 +36,6 @@ FEATURE_NAMES = tuple(f"{t}_{s}" for t in TRANSFORMATIONS for s in STATISTICS)
 #: A window has at least this many samples: with fewer every line fits.
 MIN_SAMPLES = 3
 
-_CONSTANT = 1e-14  # of the largest |x|: about 50 times the rounding of one sample
-_TINY, _HUGE = 1e-70, 1e70
 _FEW = 8  # samples that are sorted
 _HALVINGS = 60  # of an interval: the rounding of a double is then reached, short of outliers
 
@@ -60,8 +59,8 @@ def features(windows: Array) -> Array:
     refused = _features(windows, out)
     if refused >= 0:
         values = windows[refused]
-        wrong = values[~(np.abs(values) <= _HUGE)][0]
-        raise ValueError(f"window {refused} has {wrong}: values must be within {_HUGE:g} of zero")
+        wrong = values[~(np.abs(values) <= HUGE)][0]
+        raise ValueError(f"window {refused} has {wrong}: values must be within {HUGE:g} of zero")
     return out
 
 
@@ -75,7 +74,7 @@ def _count(x: Array, limit: float) -> int:
 
 
 @kernel
-def _median(x: Array, smallest: float, largest: float, few: Array) -> float:
+def median(x: Array, smallest: float, largest: float, few: Array) -> float:
     """Median of ``x`` (N,), whose extremes are known.
 
     Halves the interval until it holds a few samples, and sorts those. Counting and gathering have
@@ -147,7 +146,7 @@ def _features(windows: Array, out: Array) -> int:
             runner_up = a if a < a_max else a_max
             a_second = runner_up if runner_up > a_second else a_second
             a_max = a if a > a_max else a_max
-        if not (a_max <= _HUGE and sum_a < np.inf):  # a NaN is in the sum only
+        if not (a_max <= HUGE and sum_a < np.inf):  # a NaN is in the sum only
             return m
         x_mean = sum_x / N
         a_mean = sum_a / N
@@ -198,13 +197,13 @@ def _features(windows: Array, out: Array) -> int:
             b_3 += b2 * b
             b_4 += b2 * b2
 
-        tolerance = max(_CONSTANT * a_max, _TINY)
+        tolerance = max(ROUNDING * a_max, TINY)
         f[:] = 0.0
         r_std = np.sqrt(r_2 / (N - 1))
         if r_std > tolerance:
             f[0] = r_min
             f[1] = r_max
-            f[2] = _median(residual, r_min, r_max, few)
+            f[2] = median(residual, r_min, r_max, few)
             f[3] = r_std
             f[5] = N * r_4 / (r_2 * r_2)
             f[6] = r_3 / (r_2 * np.sqrt(r_2 / N))
@@ -214,7 +213,7 @@ def _features(windows: Array, out: Array) -> int:
         if d_std > tolerance:
             f[8] = d_min / d_std
             f[9] = d_max / d_std
-            f[10] = _median(deviation, d_min, d_max, few) / d_std
+            f[10] = median(deviation, d_min, d_max, few) / d_std
             f[11] = 1.0
             f[13] = N * d_4 / (d_2 * d_2)
             f[14] = d_3 / (d_2 * np.sqrt(d_2 / N))
@@ -222,7 +221,7 @@ def _features(windows: Array, out: Array) -> int:
 
         f[16] = a_min
         f[17] = a_max
-        f[18] = _median(magnitude, a_min, a_max, few)
+        f[18] = median(magnitude, a_min, a_max, few)
         f[20] = a_mean + b_mean
         f[23] = a_second
         b_std = np.sqrt(b_2 / (N - 1))

@@ -17,6 +17,7 @@ from insdvl.kernels import kernel
 from insdvl.tuner.closed_form import DEGREE
 from insdvl.tuner.detrend import checked, polynomials, residual
 from insdvl.tuner.features import FEATURE_NAMES, features
+from insdvl.tuner.residual_features import RESIDUAL_FEATURE_NAMES, residual_features
 
 Array = NDArray[np.float64]
 
@@ -85,8 +86,9 @@ def _scaled_residuals(windows: Array, basis: Array, out: Array, scale: Array) ->
 #: Feature schemas by the name that a model's card gives.
 SCHEMAS: Mapping[str, Schema] = MappingProxyType(
     {
+        "default": Schema(RESIDUAL_FEATURE_NAMES, residual_features, relative=True),
         "paper": Schema(FEATURE_NAMES, _paper, relative=False),
-        "window": Schema((), _window, relative=False),
         "scaled_window": Schema((), _scaled_window, relative=True),
+        "window": Schema((), _window, relative=False),
     }
 )
