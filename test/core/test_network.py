@@ -9,11 +9,16 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from insdvl.training import assessment, dataset
-from insdvl.tuner import network
+from insdvl import cli, parallel
+from insdvl.parallel import Workers
+from insdvl.simulation.imu import ideal_imu
+from insdvl.simulation.trajectories import BASELINE
+from insdvl.training import dataset
+from insdvl.training.dataset import Recipe
+from insdvl.training.metrics import errors
+from insdvl.tuner import closed_form, network
 from insdvl.tuner.models import ModelError, load_model, sha256
 from insdvl.tuner.network import Network, NetworkError
-from insdvl.tuner.schemas import SCHEMAS
 
 NAMES = {"dnn": "window", "dnn-default": "scaled_window"}
 FLOAT, DOUBLE = 1, 11
@@ -157,8 +162,9 @@ def test_a_shipped_network_and_its_card_belong_together(name):
 def test_a_shipped_network_does_as_its_card_says_on_data_of_another_seed(name):
     """An RMSE over 3,600 new examples has a sigma of about 1.5 % of it: the bound is five."""
     model = load_model(name)
-    data = dataset.build(NAMES[name], seed=987_654, jobs=1, n_windows=10)
-    measured = assessment.errors(model.regressor, data, np.arange(data.q.size), model.schema)
+    with parallel.pool(Workers(jobs=1)) as pool:
+        data = dataset.build(Recipe("window", 987_654, n_windows=10), pool)
+    measured = errors(model.variances(data.X), data.q)
     stated = model.card["metrics"]["random_split"]
     assert measured["rmse"] == pytest.approx(stated["rmse"], rel=0.075)
     # Below the limit of an estimator that knows the noise itself something would be wrong.
@@ -168,7 +174,7 @@ def test_a_shipped_network_does_as_its_card_says_on_data_of_another_seed(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_a_windows_answer_does_not_depend_on_the_others(name):
     model = load_model(name)
-    windows = dataset.noisy_windows(1, 3, 5, n_windows=5)
+    windows = dataset.noisy_windows(Recipe("window", 5, n_windows=5), 1, 3)
     together = model.variances(windows)
     for rows in (1, 6, 7):
         parts = [model.variances(windows[i : i + rows]) for i in range(0, len(windows), rows)]
@@ -177,7 +183,7 @@ def test_a_windows_answer_does_not_depend_on_the_others(name):
 
 def test_the_default_network_follows_the_unit_and_is_blind_to_offset_and_slope():
     model = load_model("dnn-default")
-    windows = dataset.noisy_windows(2, 7, 11, n_windows=3)
+    windows = dataset.noisy_windows(Recipe("window", 11, n_windows=3), 2, 7)
     q = model.variances(windows)
     for factor in (2.0**-10, 2.0**7):
         np.testing.assert_array_equal(model.variances(factor * windows), factor**2 * q)
@@ -191,14 +197,14 @@ def test_the_default_network_follows_the_unit_and_is_blind_to_offset_and_slope()
 def test_the_default_network_holds_a_thousand_times_below_its_training():
     """There the vehicle's motion is far larger than the noise, and a straight line not enough."""
     rng = np.random.default_rng(12)
-    motion = dataset.noisy_windows(3, 0, 1, n_windows=50)
-    motion -= SCHEMAS["scaled_window"].extract(motion)[0] * np.sqrt(
-        SCHEMAS["scaled_window"].extract(motion)[1]
-    )[:, None]
+    readings = np.hstack(ideal_imu(BASELINE["lawn_mower"], np.arange(1, 40_001) / 100.0, 0.01))
+    motion = np.ascontiguousarray(readings.T).reshape(-1, 200)
     q = 1e-3 * rng.uniform(0.001, 0.05, len(motion))
     windows = motion + np.sqrt(q)[:, None] * rng.standard_normal(motion.shape)
     relative = load_model("dnn-default").variances(windows) / q - 1.0
-    assert np.sqrt(np.mean(relative**2)) < 0.125
+    assert np.sqrt(np.mean(relative**2)) < 0.12
+    straight = closed_form.linear(windows) / q - 1.0
+    assert np.sqrt(np.mean(straight**2)) > 0.5
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -264,4 +270,13 @@ sys.exit(cli.main(["train", "--preset", "dnn", "--out", {str(tmp_path / "models"
     assert result.stderr.startswith("insdvl train: --preset dnn needs torch")
     assert "insdvl[dnn]" in result.stderr
     assert result.stderr.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("window", ["21", "2001"])
+def test_a_window_that_the_network_cannot_take_is_refused(window, tmp_path, capsys):
+    options = ["--preset", "dnn-default", "--window", window, "--out", str(tmp_path / "models")]
+    assert cli.main(["train", *options]) == 2
+    refusal = f"insdvl train: --window must be within 22 to 2000, got {window}\n"
+    assert capsys.readouterr().err == refusal
     assert list(tmp_path.iterdir()) == []

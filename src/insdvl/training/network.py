@@ -28,7 +28,6 @@ import platform
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
-from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -47,7 +46,6 @@ CONVOLUTIONS = 3
 FILTERS = 30
 KERNEL = 3  # samples
 POOL = 2  # samples, of which the largest remains
-MIN_WINDOW = 22  # samples: one is left at the end
 BATCH = 64  # examples
 LEARNING_RATE = 1e-2  # the largest: it rises over the first quarter of the steps, then falls
 RISE = 0.25
@@ -68,19 +66,14 @@ class Preset:
 
 PRESETS = {"dnn": Preset("window", 8), "dnn-default": Preset("scaled_window", 3)}
 
-#: What training needs beside insdvl: the extra `dnn`.
-PACKAGES = ("torch", "onnx", "onnxruntime")
-
+_LIBRARIES = ("numpy", "scipy", "torch", "onnx", "onnxruntime")
 _STREAM = (1001,)  # of the seed; not one of the data set's
 _OPSET, _IR_VERSION = 17, 8  # of 2022: onnxruntime 1.14 and later read them
 
 
-def missing_packages() -> list[str]:
-    """Those of PACKAGES that are not installed."""
-    return [name for name in PACKAGES if find_spec(name) is None]
-
-
-def fit(X: Array, y: Array, absolute: bool, epochs: int, seed: int) -> dict[str, NDArray[np.float32]]:
+def fit(
+    X: Array, y: Array, absolute: bool, epochs: int, seed: int
+) -> dict[str, NDArray[np.float32]]:
     """The weights of the network for rows as they come, on one thread.
 
     Args:
@@ -243,7 +236,7 @@ def train(
 
     Args:
         preset: Key of PRESETS.
-        window: Number of samples of a window, at least MIN_WINDOW.
+        window: Number of samples of a window, at least 22, of which the last pooling leaves one.
         seed: In [0, 2^32); of the data set, of the split, and of the network.
         pool: Does the work; the result does not depend on it.
         store: Keeps finished parts.
@@ -293,7 +286,7 @@ def train(
         "metrics": metrics,
         "versions": {
             "python": platform.python_version(),
-            **{package: version(package) for package in ("numpy", "scipy", *PACKAGES)},
+            **{package: version(package) for package in _LIBRARIES},
         },
     }
     return files[RANDOM], card
