@@ -64,7 +64,7 @@ class Preset:
     epochs: int
 
 
-PRESETS = {"dnn": Preset("window", 8), "dnn-default": Preset("scaled_window", 3)}
+PRESETS = {"dnn": Preset("window", 8), "dnn-default": Preset("scaled_window", 2)}
 
 _LIBRARIES = ("numpy", "scipy", "torch", "onnx", "onnxruntime")
 _STREAM = (1001,)  # of the seed; not one of the data set's
@@ -94,7 +94,7 @@ def fit(
     torch.set_num_threads(1)
     torch.use_deterministic_algorithms(True)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=_STREAM))
-    center, axes = _principal_axes(X)
+    axes = _principal_axes(X)
     shift, gain = (0.0, y.mean()) if absolute else (y.mean(), y.std())
 
     def layer(*shape: int) -> tuple[Any, Any]:
@@ -111,13 +111,12 @@ def fit(
     w3, b3 = layer(FILTERS, FILTERS, 1, KERNEL)
     w4, b4 = layer(1, FILTERS * _pooled(X.shape[1]))
     weights = [w1, b1, w2, b2, w3, b3, w4, b4]
-    whitening, origin = (torch.tensor(array.astype(np.float32)) for array in (axes, center))
+    whitening = torch.tensor(axes.astype(np.float32))
 
     def answers(x: Any) -> Any:
         """Of windows (B, 1, 1, N), in units of the gain."""
-        kernels = w1 @ whitening
-        raw = kernels.view(FILTERS, 1, 1, KERNEL), b1 - kernels @ origin
-        for weight, bias in (raw, (w2, b2), (w3, b3)):
+        kernels = (w1 @ whitening).view(FILTERS, 1, 1, KERNEL)
+        for weight, bias in (kernels, b1), (w2, b2), (w3, b3):
             x = functional.relu(functional.conv2d(x, weight, bias))
             x = functional.max_pool2d(x, (1, POOL))
         x = functional.linear(x.flatten(1), w4, b4)[:, 0]
@@ -131,21 +130,21 @@ def fit(
         optimizer, LEARNING_RATE, total_steps=epochs * steps, pct_start=RISE
     )
     for _ in range(epochs):
-        order = rng.permutation(len(X))
+        order = torch.tensor(rng.permutation(len(X)))
+        signs = torch.tensor(rng.choice(np.array([-1.0, 1.0], np.float32), (len(X), 1, 1, 1)))
         for step in range(steps):
-            batch = torch.tensor(order[step * BATCH : (step + 1) * BATCH])
+            batch = order[step * BATCH : (step + 1) * BATCH]
             optimizer.zero_grad()
-            functional.mse_loss(answers(rows[batch]), wanted[batch]).backward()
+            functional.mse_loss(answers(signs[batch] * rows[batch]), wanted[batch]).backward()
             optimizer.step()
             schedule.step()
 
     w1, b1, w2, b2, w3, b3, w4, b4 = (
         weight.detach().numpy().astype(np.float64) for weight in weights
     )
-    kernels = w1 @ axes
     folded = {
-        "w1": kernels[:, None, :],
-        "b1": b1 - kernels @ center,
+        "w1": (w1 @ axes)[:, None, :],
+        "b1": b1,
         "w2": w2[:, :, 0],
         "b2": b2,
         "w3": w3[:, :, 0],
@@ -165,11 +164,11 @@ def _pooled(n: int) -> int:
     return n
 
 
-def _principal_axes(X: Array) -> tuple[Array, Array]:
-    """Mean (3,) of all runs of three samples, and the map (3, 3) to axes of unit variance."""
+def _principal_axes(X: Array) -> Array:
+    """The map (3, 3) of three samples in a row, of either sign, to axes of unit variance."""
     runs = np.lib.stride_tricks.sliding_window_view(X, KERNEL, axis=1).reshape(-1, KERNEL)
-    variances, axes = np.linalg.eigh(np.cov(runs.T))
-    return runs.mean(axis=0), axes.T / np.sqrt(variances)[:, None]
+    variances, axes = np.linalg.eigh(runs.T @ runs / len(runs))
+    return axes.T / np.sqrt(variances)[:, None]
 
 
 def to_onnx(weights: Mapping[str, NDArray[np.float32]], window: int) -> bytes:
