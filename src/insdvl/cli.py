@@ -11,6 +11,8 @@ from importlib.metadata import version
 COMMANDS = {
     "train": ("insdvl.training.command", "learn a model of the process noise from simulations"),
     "replay": ("insdvl.replay", "run the filter over a rosbag2 recording"),
+    "evaluate": ("insdvl.evaluation.command", "compare sources of process noise on simulations"),
+    "results": ("insdvl.evaluation.results", "compute the page of results again"),
 }
 
 

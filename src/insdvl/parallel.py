@@ -369,20 +369,24 @@ class _Dask:
             self._client.submit(_outcome, work.function, shared, task, None, pure=False): name
             for name, task in work.tasks.items()
         }
-        lost = None
-        for future in as_completed(list(futures), loop=self._client.loop):
-            name = futures.pop(future)
-            if future.status == "finished":
+        worker_died = False
+        completed = as_completed(list(futures), loop=self._client.loop)
+        for future in completed:
+            name, status = futures[future], future.status
+            if status == "finished":
                 outcome = future.result()
                 if name in work.paths and not isinstance(outcome, _Failure):
                     _keep(work.paths[name], outcome)
                 yield name, outcome
-            elif future.status == "error" and not isinstance(future.exception(), KilledWorker):
-                error = future.exception()
-                yield name, _Failure(f"{type(error).__name__}: {error}", str(error))
+            elif status == "cancelled":
+                raise WorkersError("the Dask cluster no longer answers")
+            elif status != "error":  # its result was lost with a worker, and is computed again
+                completed.add(future)
+            elif isinstance(error := future.exception(), KilledWorker):
+                worker_died = True
             else:
-                lost = future
-        if lost is not None:
+                yield name, _Failure(f"{type(error).__name__}: {error}", str(error))
+        if worker_died:
             raise _LostWorkerError
 
 
@@ -534,20 +538,33 @@ def pool(workers: Workers) -> Iterator[Pool]:
 
 def _client(workers: Workers, stack: contextlib.ExitStack) -> Any:
     """Client of the cluster; it, and the cluster if it was made here, are closed by the stack."""
+    import dask
     from distributed import Client, LocalCluster
+    from distributed.comm import resolve_address
 
     if workers.scheduler is None:
+        # Which losses are too many is decided here, for both backends. A worker may be restarting,
+        # for the second time, when Dask looks whether it came back, and must not be given up then.
+        settings = {
+            "distributed.scheduler.allowed-failures": 0,
+            "distributed.deploy.lost-worker-timeout": "365 days",
+        }
+        stack.enter_context(dask.config.set(settings))
         cluster = stack.enter_context(
             LocalCluster(
                 n_workers=workers.jobs,
                 threads_per_worker=1,
                 memory_limit=0,  # as with loky: what memory there is
                 dashboard_address=None,
-                silence_logs=logging.ERROR,
+                preload=[
+                    "import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)"
+                ],  # as on loky
+                silence_logs=logging.CRITICAL,  # lost workers are reported here
             )
         )
         return stack.enter_context(Client(cluster, set_as_default=False))
     try:
+        resolve_address(workers.scheduler)  # a Client that was made of no address hangs at its end
         client = stack.enter_context(
             Client(workers.scheduler, timeout=CONNECT_TIMEOUT_S, set_as_default=False)
         )

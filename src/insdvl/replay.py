@@ -11,7 +11,7 @@ import os
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -29,8 +29,8 @@ from insdvl.evaluation.metrics import (
     normalised_innovations,
     scores,
 )
-from insdvl.events import NS
-from insdvl.fold import Fold
+from insdvl.events import NS, Event, Imu
+from insdvl.fold import Fold, FoldResult
 from insdvl.frames import CONVENTIONS, NED
 from insdvl.inputs import Q_TOPICS, Inputs
 from insdvl.messages import RejectedMessage
@@ -45,6 +45,7 @@ from insdvl.parameters import (
 )
 from insdvl.simulation.imu import white_noise
 from insdvl.simulation.noise import segments
+from insdvl.state import NEVER
 from insdvl.tuner.tuner import Tuner
 
 Array = NDArray[np.float64]
@@ -94,6 +95,12 @@ class Injection:
         ]
         return np.concatenate(columns, axis=1)
 
+    def draw(self, stamps_ns: NDArray[np.int64]) -> tuple[Array, Array]:
+        """Variance (N, 6) and noise (N, 6) of each sample, in the axes of the stream."""
+        variance_rng, noise_rng = np.random.default_rng(self.seed).spawn(2)
+        q = self.variances(stamps_ns, variance_rng)
+        return q, white_noise(q, noise_rng)
+
     def __call__(self, recording: Sequence[Raw]) -> list[Raw]:
         """A recording whose IMU is noisier, with the true added variances as process noise.
 
@@ -102,11 +109,10 @@ class Injection:
         """
         samples = [decode(raw).message for raw in recording if raw.topic == "imu/data_raw"]
         stamps_ns = np.array([messages.stamp_ns(sample.header) for sample in samples])
-        variance_rng, noise_rng = np.random.default_rng(self.seed).spawn(2)
-        q = self.variances(stamps_ns, variance_rng)
-        noise = white_noise(q, noise_rng)
+        q, noise = self.draw(stamps_ns)
+        told_at = dict(changes(stamps_ns, q))
         noisy: list[Raw] = []
-        told_ns = k = 0
+        k = 0
         for raw in recording:
             if raw.topic in Q_TOPICS.values():
                 continue
@@ -114,13 +120,10 @@ class Injection:
                 noisy.append(raw)
                 continue
             header = samples[k].header
-            begin_ns = int(stamps_ns[max(k - 1, 0)])  # a variance holds from its first interval on
-            changed = k == 0 or (q[k] != q[k - 1]).any()
-            if changed or begin_ns - told_ns >= NS:
-                told_ns = begin_ns
+            if k in told_at:
                 Q_f, Q_w = np.diag(q[k, :3]), np.diag(q[k, 3:])
                 message = bags.imu_message(
-                    begin_ns, header.frame_id, np.zeros(3), np.zeros(3), Q_f, Q_w
+                    told_at[k], header.frame_id, np.zeros(3), np.zeros(3), Q_f, Q_w
                 )
                 noisy.append(bags.encode(Q_TOPICS["oracle"], raw.time_ns, message))
             f = np.array(samples[k].linear_acceleration) + noise[k, :3]
@@ -129,6 +132,21 @@ class Injection:
             noisy.append(bags.encode(raw.topic, raw.time_ns, message))
             k += 1
         return noisy
+
+
+def changes(stamps_ns: NDArray[np.int64], q: Array) -> list[tuple[int, int]]:
+    """When variances (N, 6) of samples are told: index of the sample, and stamp of the telling.
+
+    A variance holds from the beginning of its first sample's interval on, which is the stamp
+    before. It is told there, and again every second.
+    """
+    changed = (q[1:] != q[:-1]).any(axis=1)
+    told: list[tuple[int, int]] = []
+    for k in range(len(stamps_ns)):
+        begin_ns = int(stamps_ns[max(k - 1, 0)])
+        if k == 0 or changed[k - 1] or begin_ns - told[-1][1] >= NS:
+            told.append((k, begin_ns))
+    return told
 
 
 def learn(recording: Sequence[Raw], parameters: TunerParameters) -> list[Raw]:
@@ -180,8 +198,15 @@ class Replayed:
         return np.flatnonzero(self.fold.states["initialised"])
 
 
-def fold_recording(recording: Sequence[Raw], parameters: FilterParameters) -> Replayed:
-    """All messages of a recording through the filter, as its node takes them.
+def recorded_events(
+    recording: Sequence[Raw], parameters: FilterParameters, rejected: Counter[str]
+) -> Iterator[tuple[str, Event]]:
+    """The filter's events in the order of their messages, each with its topic.
+
+    Args:
+        recording: The messages.
+        parameters: Of the filter.
+        rejected: Counts the messages that cannot be used, by ``topic: reason``.
 
     Raises:
         BagError: What the parameters need is not in the recording, or a message is damaged.
@@ -192,36 +217,47 @@ def fold_recording(recording: Sequence[Raw], parameters: FilterParameters) -> Re
         if topic.lstrip("/") not in there:
             raise BagError(f"{reason}, but nothing in the recording is played on {topic}")
     names = {topic.lstrip("/"): topic for topic in inputs.topics}
-    fold = Fold(parameters, capacity=sum(raw.topic == "imu/data_raw" for raw in recording) + 1)
-    rejected: Counter[str] = Counter()
+    newest_ns = NEVER
     for raw in recording:
         if raw.topic not in names:
             continue
         try:
-            message = decode(raw).message
-            for event in inputs.events(names[raw.topic], message, fold.newest_ns):
-                refusal = fold.add(event)
-                if refusal is not None:
-                    rejected[f"{raw.topic}: {refusal}"] += 1
+            for event in inputs.events(names[raw.topic], decode(raw).message, newest_ns):
+                if isinstance(event, Imu):
+                    newest_ns = max(newest_ns, event.stamp_ns)
+                yield raw.topic, event
         except RejectedMessage as rejection:
             rejected[f"{raw.topic}: {rejection.reason}"] += 1
+
+
+def fold_recording(recording: Sequence[Raw], parameters: FilterParameters) -> Replayed:
+    """All messages of a recording through the filter, as its node takes them.
+
+    Raises:
+        BagError: What the parameters need is not in the recording, or a message is damaged.
+    """
+    fold = Fold(parameters, capacity=sum(raw.topic == "imu/data_raw" for raw in recording) + 1)
+    rejected: Counter[str] = Counter()
+    for topic, event in recorded_events(recording, parameters, rejected):
+        refusal = fold.add(event)
+        if refusal is not None:
+            rejected[f"{topic}: {refusal}"] += 1
     return Replayed(fold, rejected)
 
 
 # ---------------------------------------------------------------- scores
 
 
-def states_at(replayed: Replayed, stamps_ns: NDArray[np.int64]) -> tuple[Track, Array]:
+def states_at(fold: Fold | FoldResult, stamps_ns: NDArray[np.int64]) -> tuple[Track, Array]:
     """The result at some stamps, in the axes of the stream, and the sigmas (M, 3) of v_b.
 
     At a stamp between two of the IMU: position, velocity and sigma are interpolated linearly, the
     attitude along the shortest rotation.
 
     Args:
-        replayed: The result.
+        fold: The result.
         stamps_ns: (M,) stamps from the first to the last initialised state.
     """
-    fold = replayed.fold
     times_ns = fold.states["time_ns"]
     after = np.searchsorted(times_ns, stamps_ns)
     exact = times_ns[after] == stamps_ns
@@ -259,11 +295,53 @@ def truth_of(recording: Sequence[Raw]) -> tuple[NDArray[np.int64], Track]:
     )
 
 
+def errors_of(
+    fold: Fold | FoldResult, stamps_ns: NDArray[np.int64], truth: Track
+) -> dict[str, Any]:
+    """The errors at those stamps of the truth (M,) at which there is a state, and the NIS.
+
+    ``velocity_rmse`` is of the vector in navigation axes; ``nis_mean`` is over the accepted DVL
+    updates. What cannot be told is None.
+    """
+    nis = [update.report.nis for update in fold.updates if update.report.accepted]
+    times_ns = fold.states["time_ns"][fold.states["initialised"] != 0]
+    inside = np.zeros(len(stamps_ns), dtype=bool)
+    if times_ns.size:
+        inside = (stamps_ns >= times_ns[0]) & (stamps_ns <= times_ns[-1])
+    result: dict[str, Any] = {
+        "velocity_rmse": None,
+        "body_velocity_rmse": None,
+        "velocity_smae": None,
+        "position_rmse_horizontal": None,
+        "position_drift_percent": None,
+        "heading_rmse_deg": None,
+        "tilt_rmse_deg": None,
+        "body_velocity_inside_3_sigma": None,
+        "reference_stamps": int(inside.sum()),
+        "nis_mean": float(np.mean(nis)) if nis else None,
+    }
+    if inside.sum() < 2:
+        return result
+    truth = Track(truth.C_n_b[inside], truth.v_b[inside], truth.p_n[inside])
+    track, sigma = states_at(fold, stamps_ns[inside])
+    errors = scores(track, truth)
+    result |= {
+        "velocity_rmse": errors.srmse,
+        "body_velocity_rmse": errors.body_velocity_rmse,
+        "velocity_smae": errors.smae,
+        "position_rmse_horizontal": errors.position_rmse_horizontal,
+        "position_drift_percent": errors.position_drift_percent,
+        "heading_rmse_deg": errors.heading_rmse_deg,
+        "tilt_rmse_deg": errors.tilt_rmse_deg,
+        "body_velocity_inside_3_sigma": inside_fraction(truth.v_b - track.v_b, sigma),
+    }
+    return {name: _finite(value) for name, value in result.items()}
+
+
 def report(recording: Sequence[Raw], replayed: Replayed) -> dict[str, Any]:
     """The numbers of the command's JSON; None where the recording has nothing to compare with.
 
-    ``velocity_rmse`` is of the vector in navigation axes, at the stamps of the ground truth.
-    ``nis_mean`` and the autocorrelation are over the accepted DVL updates.
+    Beside `errors_of`, the autocorrelation of the innovations is over the accepted DVL updates.
     """
     fold = replayed.fold
     updates = fold.updates
@@ -277,17 +355,7 @@ def report(recording: Sequence[Raw], replayed: Replayed) -> dict[str, Any]:
     S = np.array([r.S for r in accepted]).reshape(-1, 3, 3)
     known = replayed.initialised
     times_ns = fold.states["time_ns"][known]
-    result: dict[str, Any] = {
-        "velocity_rmse": None,
-        "body_velocity_rmse": None,
-        "velocity_smae": None,
-        "position_rmse_horizontal": None,
-        "position_drift_percent": None,
-        "heading_rmse_deg": None,
-        "tilt_rmse_deg": None,
-        "body_velocity_inside_3_sigma": None,
-        "reference_stamps": 0,
-        "nis_mean": float(np.mean([r.nis for r in accepted])) if accepted else None,
+    return errors_of(fold, *truth_of(recording)) | {
         "dvl_accepted": len(accepted),
         "dvl_rejected": sum(reasons.values()),
         "dvl_rejected_by_reason": dict(reasons),
@@ -300,27 +368,6 @@ def report(recording: Sequence[Raw], replayed: Replayed) -> dict[str, Any]:
         "counts": fold.counts,
         "rejected": dict(replayed.rejected),
     }
-    stamps_ns, truth = truth_of(recording)
-    if not known.size:
-        return result
-    inside = (stamps_ns >= times_ns[0]) & (stamps_ns <= times_ns[-1])
-    result["reference_stamps"] = int(inside.sum())
-    if inside.sum() < 2:
-        return result
-    truth = Track(truth.C_n_b[inside], truth.v_b[inside], truth.p_n[inside])
-    track, sigma = states_at(replayed, stamps_ns[inside])
-    errors = scores(track, truth)
-    result |= {
-        "velocity_rmse": errors.srmse,
-        "body_velocity_rmse": errors.body_velocity_rmse,
-        "velocity_smae": errors.smae,
-        "position_rmse_horizontal": errors.position_rmse_horizontal,
-        "position_drift_percent": errors.position_drift_percent,
-        "heading_rmse_deg": errors.heading_rmse_deg,
-        "tilt_rmse_deg": errors.tilt_rmse_deg,
-        "body_velocity_inside_3_sigma": inside_fraction(truth.v_b - track.v_b, sigma),
-    }
-    return {name: _finite(value) for name, value in result.items()}
 
 
 def _finite(value: Any) -> Any:

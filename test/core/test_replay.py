@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from recordings import REPLAY, record, save
 
 from insdvl import bags, cli
-from insdvl.bags import BagReader, BagWriter, Raw, decode, encode
+from insdvl.bags import BagReader, Raw, decode, encode
 from insdvl.evaluation.metrics import autocorrelation, normalised_innovations
 from insdvl.events import NS, Dvl, Event, Initial, ProcessNoise
 from insdvl.fold import run
-from insdvl.frames import ENU, quaternion_from_rotation, rpy_from_rotation
+from insdvl.frames import ENU, rpy_from_rotation
 from insdvl.parameters import FilterParameters, ReplayParameters, TunerParameters, build
 from insdvl.replay import Injection, fold_recording, learn, read, report, states_at
 from insdvl.simulation.mission import Mission, simulate
@@ -46,52 +47,6 @@ def filter_parameters(**values: Any) -> FilterParameters:
     }
     names = {name.replace("__", "."): value for name, value in values.items()}
     return build(FilterParameters, given | names)
-
-
-def truth_message(stamp_ns: int, truth: Any, k: int) -> Any:
-    C, v_n = truth.C_n_b[k], truth.v_n[k]
-    return bags.odometry_message(
-        stamp_ns,
-        ("odom", "base_link"),
-        ENU.nav @ truth.p_n[k],
-        quaternion_from_rotation(ENU.attitude(C)),
-        ENU.body @ C.T @ v_n,
-        ENU.body @ truth.w_nb_b[k],
-    )
-
-
-def record(mission: Mission, *, every: int = 1) -> list[Raw]:
-    """The mission as it would be recorded, with the truth at every so many stamps of the IMU."""
-    raws = [encode("/truth", START_NS, truth_message(START_NS, mission.initial, 0))]
-    for k, stamp_ns in enumerate(mission.stamps_ns.tolist()):
-        f, w = ENU.body @ mission.f_b[k], ENU.body @ mission.w_ib_b[k]
-        raws.append(encode("/imu", stamp_ns, bags.imu_message(stamp_ns, "imu", f, w)))
-        if k % every == 0:
-            message = truth_message(stamp_ns, mission.truth, k)
-            raws.append(encode("/truth", stamp_ns + 1, message))
-    for stamp_ns, v_d in zip(mission.dvl_stamps_ns.tolist(), mission.v_d, strict=True):
-        message = bags.twist_message(stamp_ns, "dvl", ENU.body @ v_d)
-        raws.append(encode("/dvl", stamp_ns + 2, message))
-    for stamp_ns, q in zip(*mission.process_noise(), strict=True):
-        Q_f, Q_w = np.diag(q[:3]), np.diag(q[3:])
-        message = bags.imu_message(int(stamp_ns), "imu", np.zeros(3), np.zeros(3), Q_f, Q_w)
-        raws.append(encode("/true_q", int(stamp_ns) + 3, message))
-    return sorted(raws, key=lambda raw: raw.time_ns)
-
-
-def save(path: Path, raws: list[Raw]) -> Path:
-    with BagWriter(path) as bag:
-        for raw in raws:
-            bag.write(raw)
-    return path
-
-
-REPLAY = ReplayParameters(
-    imu_topic="/imu",
-    dvl_topic="/dvl",
-    ground_truth_topic="/truth",
-    true_process_noise_topic="/true_q",
-)
 
 
 @pytest.fixture(scope="module")
@@ -254,8 +209,8 @@ def test_a_reference_between_stamps_of_the_imu_is_met_between_them() -> None:
     ]
     replayed = fold_recording(recording, filter_parameters())
     stamps_ns = mission.stamps_ns[:-1] + 3_000_000
-    between, sigma = states_at(replayed, stamps_ns)
-    at, sigma_at = states_at(replayed, mission.stamps_ns)
+    between, sigma = states_at(replayed.fold, stamps_ns)
+    at, sigma_at = states_at(replayed.fold, mission.stamps_ns)
     for name in ("v_b", "p_n"):
         values = getattr(at, name)
         mean = 0.7 * values[:-1] + 0.3 * values[1:]
@@ -407,7 +362,7 @@ def test_the_recorded_outputs_replay_to_the_same_numbers(bag: Path, tmp_path: Pa
         assert out.topics["/dvl/innovation"].size == int(DURATION)
         assert out.topics["/imu/bias"].size == int(DURATION) + 1
     stamps_ns = replayed.fold.states["time_ns"][replayed.initialised]
-    track, sigma = states_at(replayed, stamps_ns)
+    track, sigma = states_at(replayed.fold, stamps_ns)
     assert len(odometry) == len(stamps_ns)
     for k in (0, 700, len(odometry) - 1):
         linear, position = odometry[k].twist.twist.linear, odometry[k].pose.pose.position

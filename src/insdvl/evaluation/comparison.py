@@ -189,7 +189,7 @@ def summary(scores: Mapping[str, Array], rng: np.random.Generator) -> dict[str, 
         "rows": [],
         "per_run": {
             metric: {
-                row: [_number(v) for v in values[:, METRICS.index(metric)]]
+                row: [_number(float(f"{v:.6g}")) for v in values[:, METRICS.index(metric)]]
                 for row, values in scores.items()
             }
             for metric in RATIO_METRICS
@@ -231,9 +231,10 @@ def summary(scores: Mapping[str, Array], rng: np.random.Generator) -> dict[str, 
                 }
                 for label, reference in references.items()
             }
+        lost = values[:, failure] == 1.0  # worse than any number
         medians = {
-            metric: _number(np.median(values[:, METRICS.index(metric)]))
-            for metric in METRICS[:failure]
+            metric: _number(np.median(np.where(lost, np.inf, values[:, i])))
+            for i, metric in enumerate(METRICS[:failure])
         }
         numbers["rows"].append(
             {

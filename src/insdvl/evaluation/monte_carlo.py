@@ -32,11 +32,11 @@ from insdvl.evaluation.metrics import (
 )
 from insdvl.events import NS, Dvl, Event, Initial, ProcessNoise
 from insdvl.fold import FoldResult, run
-from insdvl.parameters import InitialParameters
+from insdvl.parameters import FilterParameters, InitialParameters
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import SCENARIOS, ProfileFactory, segments
 from insdvl.simulation.trajectories import AUV
-from insdvl.tuner.offline import tuned
+from insdvl.tuner.offline import Estimator, tuned
 
 Array = NDArray[np.float64]
 
@@ -76,7 +76,7 @@ SERIES = ("body_velocity", "body_velocity_variance", "heading", "heading_varianc
 
 FAILURE_SPEED = 5.0  # m/s: a body velocity error above it for FAILURE_TIME is a failure
 FAILURE_TIME = 10.0  # s
-MAX_GAP = 0.1  # s: the tuner's default
+RATE, MAX_GAP = 1.0, 0.1  # Hz, s: of the tuner, as by default
 _NEES_STEP = 25  # samples: four times a second, at and between the updates
 
 
@@ -88,13 +88,11 @@ class Study:
         scenario: Key of `PROFILES`.
         seed: Of all runs.
         duration: Shorter than the trajectory [s]; None for all of it.
-        rate: How often learned process noise is told [Hz].
     """
 
     scenario: str
     seed: int
     duration: float | None = None
-    rate: float = 1.0
 
 
 def mission_of_run(study: Study, split: int, run: int) -> Mission:
@@ -122,41 +120,52 @@ def initial_of_run(mission: Mission, study: Study, split: int, run: int) -> Init
 
 
 class Run:
-    """A mission and what happens to every filter in it."""
+    """A mission and what happens to every filter in it.
+
+    Attributes:
+        mission: In NED and forward-right-down.
+        truth: At the stamps of the IMU.
+    """
 
     def __init__(self, study: Study, split: int, number: int) -> None:
         self.mission = mission_of_run(study, split, number)
         self.truth = track(self.mission.truth.C_n_b, self.mission.truth.v_n, self.mission.truth.p_n)
-        self._rate = study.rate
-        self._noise: dict[str, list[Event]] = {}
+        self._told: dict[str, tuple[NDArray[np.int64], Array]] = {}
         initial = initial_of_run(self.mission, study, split, number)
         pings = zip(self.mission.dvl_stamps_ns.tolist(), self.mission.v_d, strict=True)
         self._events: list[Event] = [initial, *(Dvl(stamp_ns, v_d) for stamp_ns, v_d in pings)]
 
     def fold(self, approach: Approach) -> FoldResult:
-        """The mission through a filter."""
-        m = self.mission
-        events = self._events + self._process_noise(approach.learner)
-        return run(approach.parameters, m.stamps_ns, m.f_b, m.w_ib_b, events)
+        """The mission through a filter and whoever tells it its Q."""
+        if not approach.learner:
+            return self.fold_told(approach.parameters, np.empty(0, np.int64), np.empty((0, 6)))
+        if approach.learner not in self._told:
+            self._told[approach.learner] = self._variances(approach.learner)
+        return self.fold_told(approach.parameters, *self._told[approach.learner])
 
-    def _process_noise(self, learner: str) -> list[Event]:
-        if learner not in self._noise:
-            stamps_ns, variances = self._variances(learner)
-            self._noise[learner] = [
-                ProcessNoise(stamp_ns, np.diag(q[:3]), np.diag(q[3:]))
-                for stamp_ns, q in zip(stamps_ns.tolist(), variances, strict=True)
-            ]
-        return self._noise[learner]
+    def fold_told(
+        self, parameters: FilterParameters, stamps_ns: NDArray[np.int64], variances: Array
+    ) -> FoldResult:
+        """The mission through a filter that is told these variances (K, 6) from stamps (K,) on."""
+        m = self.mission
+        told: list[Event] = [
+            ProcessNoise(stamp_ns, np.diag(q[:3]), np.diag(q[3:]))
+            for stamp_ns, q in zip(stamps_ns.tolist(), variances, strict=True)
+        ]
+        return run(parameters, m.stamps_ns, m.f_b, m.w_ib_b, self._events + told)
+
+    def learned(
+        self, estimate: Estimator, window: int, rate: float
+    ) -> tuple[NDArray[np.int64], Array]:
+        """What a tuner with this estimator tells: stamps (K,) and variances (K, 6)."""
+        m = self.mission
+        samples = np.hstack([m.f_b, m.w_ib_b])
+        return tuned(m.stamps_ns, samples, estimate, window, rate, round(MAX_GAP * NS))
 
     def _variances(self, learner: str) -> tuple[NDArray[np.int64], Array]:
-        m = self.mission
-        if not learner:
-            return np.empty(0, np.int64), np.empty((0, 6))
         if learner == ORACLE:
-            return m.process_noise()
-        estimate, window = estimator(learner)
-        samples = np.hstack([m.f_b, m.w_ib_b])
-        return tuned(m.stamps_ns, samples, estimate, window, self._rate, round(MAX_GAP * NS))
+            return self.mission.process_noise()
+        return self.learned(*estimator(learner), RATE)
 
 
 def track(C_n_b: Array, v_n: Array, p_n: Array) -> Track:

@@ -1,5 +1,6 @@
 """Pictures of a navigation result, written as PNG without a display."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -155,3 +156,67 @@ def _draw_noise(axes: Axes, noises: list[Noise], channels: slice, label: str) ->
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.yaxis.set_minor_formatter(NullFormatter())
     axes.set_ylabel(label)
+
+
+def errors_over_time(path: Path, title: str, series: Mapping[str, Array]) -> None:
+    """Draw the errors of body velocity and heading over time, and what the filters expected.
+
+    Args:
+        path: The PNG file.
+        title: First line of the picture.
+        series: (R, K, 4) of up to four rows: over R runs and K seconds the squared error and the
+            expected variance of the body velocity [(m/s)^2], then of the heading [deg^2].
+    """
+    figure = Figure(figsize=(11, 6.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(title, fontsize=13)
+    panels = figure.subplots(2, 1, sharex=True)
+    for (name, values), colour in zip(series.items(), _COLOURS, strict=False):
+        rms = np.sqrt(np.nanmean(values, axis=0))
+        t = np.arange(1, len(rms) + 1)
+        for axes, error, expected in zip(panels, rms.T[::2], rms.T[1::2], strict=True):
+            axes.plot(t, error, color=colour, linewidth=1.2, label=name)
+            axes.plot(t, expected, "--", color=colour, linewidth=0.9)
+    panels[0].set_ylabel("body velocity [m/s]")
+    panels[1].set_ylabel("heading [deg]")
+    panels[1].set_xlabel("time [s]")
+    panels[0].set_title(
+        "RMS over the runs; dashed: what the filter expects", fontsize=10, loc="left"
+    )
+    _legend_above(panels[0])
+    for axes in panels:
+        axes.set_ylim(bottom=0.0)
+        axes.grid(True, linewidth=0.4, alpha=0.6)
+        for side in ("top", "right"):
+            axes.spines[side].set_visible(False)
+    figure.savefig(path, dpi=100)
+
+
+def ratios(path: Path, title: str, panels: Mapping[str, Mapping[str, Sequence[float]]]) -> None:
+    """Draw ratios with their intervals, one panel beside the other, a line for each row.
+
+    Args:
+        path: The PNG file.
+        title: First line of the picture.
+        panels: By title of the panel and by row: middle, lower and upper end. The rows of the first
+            panel are the rows of all.
+    """
+    rows = list(next(iter(panels.values())))
+    figure = Figure(figsize=(3.2 * len(panels) + 2.0, 0.34 * len(rows) + 1.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(title, fontsize=13)
+    every = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+    for axes, (name, ratio) in zip(every, panels.items(), strict=True):
+        for y, row in enumerate(rows):
+            if row in ratio:
+                middle, low, high = ratio[row]
+                axes.plot([low, high], [y, y], color=_COLOURS[1], linewidth=2.0)
+                axes.plot(middle, y, "o", color=_COLOURS[1], markersize=4)
+        axes.axvline(1.0, color=_TRUTH, linewidth=0.8)
+        axes.set_title(name, fontsize=10)
+        axes.grid(True, axis="x", linewidth=0.4, alpha=0.6)
+        for side in ("top", "right"):
+            axes.spines[side].set_visible(False)
+    every[0].set_yticks(range(len(rows)), rows)
+    every[0].invert_yaxis()
+    figure.savefig(path, dpi=100)

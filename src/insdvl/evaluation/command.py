@@ -1,0 +1,125 @@
+"""The command `insdvl evaluate`: the comparison of all approaches in one scenario."""
+
+import argparse
+import sys
+from collections.abc import Collection, Iterable
+from dataclasses import asdict
+from pathlib import Path
+
+from insdvl import parallel
+from insdvl.evaluation import tables
+from insdvl.evaluation.approaches import PRESETS, ROWS, Setting
+from insdvl.evaluation.comparison import Plan, compare
+from insdvl.files import check_writable, json_text, write
+from insdvl.parallel import Store, TaskError
+from insdvl.simulation.noise import SCENARIOS
+from insdvl.simulation.trajectories import AUV
+
+ERROR_STATES = ("invariant", "ned")
+MIN_RUNS = 2  # fewer have no interval
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's options."""
+    parser.add_argument(
+        "--scenario",
+        default="varying",
+        metavar="NAME",
+        help=f"the IMU's noise: {', '.join(SCENARIOS)} (default: varying)",
+    )
+    parser.add_argument(
+        "--preset",
+        default="calibrated",
+        metavar="NAME",
+        help="what the filters believe: calibrated (default), or paper, as published",
+    )
+    parser.add_argument(
+        "--error-state",
+        default="",
+        metavar="NAME",
+        help="invariant or ned (default: that of the preset)",
+    )
+    parser.add_argument("--gate", action="store_true", help="with the chi-square gate of the DVL")
+    parser.add_argument(
+        "--rows",
+        metavar="NAME,NAME",
+        help=f"which approaches, with commas between (default: all): {', '.join(ROWS)}",
+    )
+    parser.add_argument(
+        "--runs", type=int, default=100, metavar="N", help="paired runs (default: 100)"
+    )
+    parser.add_argument(
+        "--tuning-runs",
+        type=int,
+        default=20,
+        metavar="N",
+        help="runs, on other seeds, for what is searched: best constant, best adaptive (default: "
+        "20)",
+    )
+    parser.add_argument("--seed", type=int, default=1, help="of all runs (default: 1)")
+    parser.add_argument(
+        "--duration",
+        type=float,
+        metavar="S",
+        help=f"shorter missions, for a first look (default: {AUV.duration:g})",
+    )
+    parser.add_argument(
+        "--json", type=Path, required=True, metavar="FILE", help="where the numbers go"
+    )
+    parallel.add_arguments(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Evaluate; the exit code is 2 where the input is refused, and then nothing is written."""
+    try:
+        plan = _plan(arguments)
+        check_writable(arguments.json, "--json")
+        workers = parallel.workers_of(arguments)
+        with parallel.pool(workers) as pool:
+            store = Store(
+                arguments.json.with_name(arguments.json.name + ".work"), {"plan": asdict(plan)}
+            )
+            comparison = compare(plan, pool, store)
+        write(arguments.json, json_text(comparison.document).encode())
+        store.clear()
+    except TaskError as error:
+        print(f"insdvl evaluate: {error}", file=sys.stderr)
+        return 1
+    except (ValueError, OSError) as error:
+        print(f"insdvl evaluate: {error}", file=sys.stderr)
+        return 2
+    print(tables.comparison(comparison.document))
+    return 0
+
+
+def _plan(arguments: argparse.Namespace) -> Plan:
+    rows = ROWS if arguments.rows is None else tuple(arguments.rows.split(","))
+    _known("--scenario", [arguments.scenario], SCENARIOS)
+    _known("--preset", [arguments.preset], PRESETS)
+    if arguments.error_state:
+        _known("--error-state", [arguments.error_state], ERROR_STATES)
+    _known("--rows", rows, ROWS)
+    for option, value in ("--runs", arguments.runs), ("--tuning-runs", arguments.tuning_runs):
+        if value < MIN_RUNS:
+            raise ValueError(f"{option} must be >= {MIN_RUNS}, got {value}")
+    if arguments.seed < 0:
+        raise ValueError(f"--seed must be >= 0, got {arguments.seed}")
+    if arguments.duration is not None and not 10.0 <= arguments.duration <= AUV.duration:
+        raise ValueError(
+            f"--duration must be within 10 to {AUV.duration:g} s, got {arguments.duration:g}"
+        )
+    return Plan(
+        scenario=arguments.scenario,
+        setting=Setting(arguments.preset, arguments.error_state, arguments.gate),
+        runs=arguments.runs,
+        tuning_runs=arguments.tuning_runs,
+        seed=arguments.seed,
+        rows=tuple(row for row in ROWS if row in rows),
+        duration=arguments.duration,
+    )
+
+
+def _known(option: str, values: Iterable[str], known: Collection[str]) -> None:
+    for value in values:
+        if value not in known:
+            raise ValueError(f"{option}: unknown name {value!r}; known are {', '.join(known)}")
