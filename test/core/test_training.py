@@ -22,6 +22,7 @@ from insdvl.tuner.features import FEATURE_NAMES, features
 from insdvl.tuner.forest import Forest
 from insdvl.tuner.models import load_model
 
+TRAIN = ("train", "--preset", "paper", "--jobs", "1")
 N_WINDOWS = 3  # of each channel of a recording, for a data set of 1,080 examples
 
 
@@ -182,10 +183,7 @@ def files_below(folder: Path) -> list[str]:
 
 def test_the_command_writes_a_model_that_loads(quick, tmp_path, capsys):
     out = tmp_path / "new" / "models"
-    assert (
-        cli.main(["train", "--preset", "paper", "--jobs", "1", "--seed", "3", "--out", str(out)])
-        == 0
-    )
+    assert cli.main([*TRAIN, "--seed", "3", "--out", str(out)]) == 0
     assert files_below(out) == ["paper.json", "paper.npz"]
     model = load_model(str(out / "paper.npz"))
     assert model.card["data_set"]["seed"] == model.card["ensemble"]["seed"] == 3
@@ -197,10 +195,7 @@ def test_the_command_writes_a_model_that_loads(quick, tmp_path, capsys):
 
 def test_the_command_writes_the_same_bytes_again(quick, tmp_path):
     for folder in ("a", "b"):
-        assert (
-            cli.main(["train", "--preset", "paper", "--jobs", "1", "--out", str(tmp_path / folder)])
-            == 0
-        )
+        assert cli.main([*TRAIN, "--out", str(tmp_path / folder)]) == 0
     for name in ("paper.npz", "paper.json"):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
@@ -239,19 +234,14 @@ def test_an_unknown_option_is_exit_code_2(options, tmp_path, monkeypatch, capsys
 
 
 def test_a_disk_that_fails_leaves_the_earlier_model_as_it_was(quick, tmp_path, monkeypatch, capsys):
-    assert cli.main(["train", "--preset", "paper", "--jobs", "1", "--out", str(tmp_path)]) == 0
+    assert cli.main([*TRAIN, "--out", str(tmp_path)]) == 0
     before = {name: (tmp_path / name).read_bytes() for name in files_below(tmp_path)}
 
     def full(source: Path, target: Path) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "replace", full)
-    assert (
-        cli.main(
-            ["train", "--preset", "paper", "--jobs", "1", "--seed", "1", "--out", str(tmp_path)]
-        )
-        == 2
-    )
+    assert cli.main([*TRAIN, "--seed", "1", "--out", str(tmp_path)]) == 2
     assert "No space left on device" in capsys.readouterr().err
     assert {name: (tmp_path / name).read_bytes() for name in files_below(tmp_path)} == before
 
@@ -268,7 +258,7 @@ def test_an_interrupted_training_goes_on_from_what_is_finished(tmp_path, monkeyp
 
     monkeypatch.setattr(ensemble, "_fit", fit)
     monkeypatch.setattr(ensemble, "train", functools.partial(ensemble.train, n_windows=1))
-    arguments = ["train", "--preset", "paper", "--jobs", "1", "--out", str(tmp_path)]
+    arguments = [*TRAIN, "--out", str(tmp_path)]
     with pytest.raises(KeyboardInterrupt):
         cli.main(arguments)
     assert {file.name for file in tmp_path.iterdir()} == {".paper.work"}
