@@ -11,8 +11,7 @@ import pytest
 
 from insdvl.tuner import models
 from insdvl.tuner.features import FEATURE_NAMES, features
-from insdvl.tuner.forest import Forest
-from insdvl.tuner.models import ModelError, load_model, sha256
+from insdvl.tuner.models import KINDS, ModelError, load_model, sha256
 
 
 @pytest.fixture
@@ -146,7 +145,7 @@ def test_a_card_that_is_no_json_object_is_named(model, text):
         ({"sha256": None}, "sha256 must be of type str, got None"),
         ({"feature_schema": 3}, "feature_schema must be of type str, got 3"),
         ({"kind": None}, "kind must be of type str, got None"),
-        ({"kind": "oracle"}, "kind 'oracle' is unknown, known are forest"),
+        ({"kind": "oracle"}, "kind 'oracle' is unknown, known are forest, network"),
         ({"window": "200"}, "window must be of type int, got '200'"),
         ({"window": True}, "window must be of type int, got True"),
         ({"window": 2}, "window must be >= 3, got 2"),
@@ -206,9 +205,8 @@ def test_prediction_needs_no_scikit_learn():
 
 def test_every_shipped_file_is_part_of_a_model_that_loads():
     folder = load_model("paper").path.parent
-    names = {file.stem for file in folder.iterdir() if file.suffix in (".npz", ".json")}
-    assert "paper" in names
+    suffixes = {".json", *(kind.suffix for kind in KINDS.values())}
+    names = {file.stem for file in folder.iterdir() if file.suffix in suffixes}
+    assert names >= {"paper", "dnn", "dnn-default"}
     for name in names:
-        if load_model(name).card["kind"] == "forest":
-            assert isinstance(load_model(name).regressor, Forest)
         assert load_model(name).path.stat().st_size < 25e6

@@ -6,7 +6,9 @@ import os
 import sys
 import tempfile
 from collections.abc import Mapping
+from dataclasses import dataclass
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +17,31 @@ from insdvl.parallel import Store, TaskError, Workers, WorkersError
 from insdvl.training import dataset
 from insdvl.tuner.models import KINDS, sha256
 
-#: Module that trains each preset, by ``train(preset, window, seed, pool, store, say)``. Only the
-#: one that is asked for is imported: the others may need packages that are not there.
-PRESETS = {
-    "default": "insdvl.training.ensemble",
-    "paper": "insdvl.training.ensemble",
-}
+MIN_WINDOW, MAX_WINDOW = 10, 2000
+
+
+@dataclass(frozen=True)
+class Preset:
+    """Where a model is trained.
+
+    Attributes:
+        module: Has ``train(preset, window, seed, pool, store, say)``, and is imported only when it
+            is asked for.
+        packages: What that needs beside what insdvl always needs.
+        min_window: Fewest samples of a window.
+    """
+
+    module: str
+    packages: tuple[str, ...] = ()
+    min_window: int = MIN_WINDOW
+
+
+_TREES = Preset("insdvl.training.ensemble")
+_NETWORK = Preset("insdvl.training.network", ("torch", "onnx", "onnxruntime"), min_window=22)
+
+PRESETS = {"default": _TREES, "paper": _TREES, "dnn": _NETWORK, "dnn-default": _NETWORK}
 
 MAX_SEED = 2**32 - 1  # scikit-learn's largest
-MIN_WINDOW, MAX_WINDOW = 10, 2000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,7 +50,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--preset",
         default="default",
         choices=tuple(PRESETS),
-        help="which model; default: trees that work at any scale; paper: trees as published",
+        help="which model; default: trees that work at any scale; paper: trees as published; "
+        "dnn-default, dnn: the same with a convolutional network",
     )
     parser.add_argument(
         "--window",
@@ -67,7 +86,7 @@ def run(arguments: argparse.Namespace) -> int:
     except (ValueError, OSError) as error:
         print(f"insdvl train: {error}", file=sys.stderr)
         return 2
-    module = import_module(PRESETS[preset])
+    module = import_module(PRESETS[preset].module)
     try:
         with parallel.pool(workers) as pool:
             store = Store(
@@ -92,9 +111,16 @@ def _checked(arguments: argparse.Namespace) -> Workers:
     workers = parallel.workers_of(arguments)
     if not 0 <= arguments.seed <= MAX_SEED:
         raise ValueError(f"--seed must be within 0 to {MAX_SEED}, got {arguments.seed}")
-    if not MIN_WINDOW <= arguments.window <= MAX_WINDOW:
+    preset = PRESETS[arguments.preset]
+    if not preset.min_window <= arguments.window <= MAX_WINDOW:
         raise ValueError(
-            f"--window must be within {MIN_WINDOW} to {MAX_WINDOW}, got {arguments.window}"
+            f"--window must be within {preset.min_window} to {MAX_WINDOW}, got {arguments.window}"
+        )
+    missing = [name for name in preset.packages if find_spec(name) is None]
+    if missing:
+        raise ValueError(
+            f"--preset {arguments.preset} needs {', '.join(missing)}: "
+            "install the extra packages of insdvl[dnn,onnx]"
         )
     # Minutes of work come before the files: whether they can be written is tried first.
     existing = arguments.out

@@ -19,7 +19,7 @@ from sklearn.tree import DecisionTreeRegressor
 from insdvl.parallel import Pool, Result, Store
 from insdvl.training import dataset
 from insdvl.training.dataset import Indices, Recipe
-from insdvl.training.metrics import RANDOM, described, metrics_of, splits_of
+from insdvl.training.metrics import RANDOM, TARGETS, described, metrics_of, splits_of
 from insdvl.tuner.forest import LEAF, Forest
 from insdvl.tuner.schemas import SCHEMAS
 
@@ -29,11 +29,6 @@ TREES = 30
 
 #: Fewest examples in a leaf of each preset, whose name is that of its feature schema, too.
 PRESETS = {"paper": 8, "default": 200}
-
-TARGETS = {
-    False: "variance per sample of a channel's white noise, in the square of its unit",
-    True: "logarithm of that variance over the scale that the feature schema gives",
-}
 
 
 def fit(X: Array, y: Array, min_samples_leaf: int, seed: int) -> BaggingRegressor:

@@ -23,6 +23,12 @@ Splits = Mapping[str, tuple[Indices, Indices]]
 RANDOM = "random_split"
 TRAJECTORY = "trajectory_split"
 
+#: What a model answers, in the words of a card: whether relative, see `Schema`.
+TARGETS = {
+    False: "variance per sample of a channel's white noise, in the square of its unit",
+    True: "logarithm of that variance over the scale that the feature schema gives",
+}
+
 
 def splits_of(data: DataSet, seed: int) -> Splits:
     """Training and test examples of the published split, and of each without a trajectory."""

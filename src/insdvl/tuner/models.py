@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from insdvl.tuner.features import MIN_SAMPLES
 from insdvl.tuner.forest import Forest
+from insdvl.tuner.network import Network
 from insdvl.tuner.schemas import SCHEMAS, Schema
 
 Array = NDArray[np.float64]
@@ -65,7 +66,9 @@ class Kind:
 
 
 #: Kinds of models by the name that a card gives.
-KINDS: Mapping[str, Kind] = MappingProxyType({"forest": Kind(".npz", Forest.load)})
+KINDS: Mapping[str, Kind] = MappingProxyType(
+    {"forest": Kind(".npz", Forest.load), "network": Kind(".onnx", Network.load)}
+)
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,9 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from insdvl.kernels import kernel
+from insdvl.tuner.closed_form import DEGREE
+from insdvl.tuner.detrend import checked, polynomials, residual
 from insdvl.tuner.features import FEATURE_NAMES, features
 from insdvl.tuner.residual_features import RESIDUAL_FEATURE_NAMES, residual_features
 
@@ -54,10 +57,38 @@ def _paper(windows: Array) -> tuple[Array, Array]:
     return features(windows), np.ones(len(windows))
 
 
+def _window(windows: Array) -> tuple[Array, Array]:
+    return windows, np.ones(len(windows))
+
+
+def _scaled_window(windows: Array) -> tuple[Array, Array]:
+    """Residuals around a polynomial in units of their spread; 0 where there are none.
+
+    Of degree 5, which follows the motion down to much smaller noise than a straight line does.
+    """
+    windows = checked(windows, DEGREE + 2)
+    out = np.empty_like(windows)
+    scale = np.empty(windows.shape[0])
+    _scaled_residuals(windows, polynomials(windows.shape[1], DEGREE), out, scale)
+    return out, scale
+
+
+@kernel
+def _scaled_residuals(windows: Array, basis: Array, out: Array, scale: Array) -> None:
+    """`_scaled_window` of ``windows`` (M, N) into ``out`` (M, N) and ``scale`` (M,)."""
+    M, N = windows.shape
+    for m in range(M):
+        scale[m] = residual(windows[m], basis, out[m]) / (N - 1 - basis.shape[0])
+        if scale[m] > 0.0:
+            out[m] /= np.sqrt(scale[m])
+
+
 #: Feature schemas by the name that a model's card gives.
 SCHEMAS: Mapping[str, Schema] = MappingProxyType(
     {
         "default": Schema(RESIDUAL_FEATURE_NAMES, residual_features, relative=True),
         "paper": Schema(FEATURE_NAMES, _paper, relative=False),
+        "scaled_window": Schema((), _scaled_window, relative=True),
+        "window": Schema((), _window, relative=False),
     }
 )
