@@ -112,7 +112,7 @@ def test_a_card_that_is_no_json_object_is_named(model, text):
         ({"window": "200"}, "window must be of type int, got '200'"),
         ({"window": True}, "window must be of type int, got True"),
         ({"window": 2}, "window must be >= 3, got 2"),
-        ({"feature_schema": "wavelets"}, "'wavelets' is unknown, known are paper"),
+        ({"feature_schema": "wavelets"}, "'wavelets' is unknown, known are default, paper"),
         ({"features": list(FEATURE_NAMES[::-1])}, "features are not those of the schema 'paper'"),
         ({"features": []}, "features are not those of the schema 'paper'"),
     ],
