@@ -32,8 +32,14 @@ setup(
         "rosbags",
         "scikit-learn",
         "scipy",
+        "threadpoolctl",
     ],
-    extras_require={"test": ["hypothesis", "pytest", "python-ins"]},
+    extras_require={
+        "dask": ["dask", "distributed"],
+        "dnn": ["onnx", "torch"],  # training only
+        "onnx": ["onnxruntime"],
+        "test": ["hypothesis", "pytest", "python-ins"],
+    },
     zip_safe=False,
     entry_points={"console_scripts": ["insdvl = insdvl.cli:main"]},
 )

@@ -7,6 +7,7 @@ import sys
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from packaging.markers import default_environment
@@ -25,6 +26,10 @@ ROSDEP_KEYS = {
 }
 PIP_NAMES = {"sklearn": "scikit-learn", "yaml": "pyyaml"}
 PIP_ONLY = {"numba", "rosbags"}  # no rosdep key on Ubuntu 24.04
+COMES_ALONG = {"threadpoolctl"}  # no rosdep key either, and scikit-learn needs it
+# Imported where they are needed, and not before: each is in an extra of that name.
+EXTRAS = {"dask": {"dask", "distributed"}, "dnn": {"onnx", "torch"}, "onnx": {"onnxruntime"}}
+OPTIONAL = set().union(*EXTRAS.values())
 PYTHONS = ("3.10", "3.11", "3.12", "3.13")
 
 
@@ -57,29 +62,63 @@ def required() -> set[str]:
     return {canonicalize_name(entry.name) for entry in entries("requirements.txt")}
 
 
-def install_requires(package: str) -> set[str]:
+def setup_argument(package: str, name: str) -> Any:
     """What setup.py tells pip, read without running it."""
     tree = ast.parse((ROOT / PACKAGES[package] / "setup.py").read_text())
     keywords = [node for node in ast.walk(tree) if isinstance(node, ast.keyword)]
-    (value,) = [node.value for node in keywords if node.arg == "install_requires"]
-    return set(ast.literal_eval(value))
+    (value,) = [node.value for node in keywords if node.arg == name]
+    return ast.literal_eval(value)
+
+
+def install_requires(package: str) -> set[str]:
+    return set(setup_argument(package, "install_requires"))
+
+
+def core_modules() -> list[str]:
+    return [
+        ".".join(module.relative_to(ROOT / "src").with_suffix("").parts)
+        for module in modules("insdvl")
+        if module.name not in ("__init__.py", "__main__.py")
+    ]
+
+
+def output(code: str, folder: Path) -> str:
+    """What code prints in an interpreter of its own."""
+    result = subprocess.run(
+        [sys.executable, "-c", code], cwd=folder, capture_output=True, text=True
+    )
+    assert result.returncode == 0, result.stderr
+    return result.stdout
 
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_package_xml_declares_what_is_imported(package: str) -> None:
     manifest = ElementTree.parse(ROOT / PACKAGES[package] / "package.xml")
     declared = {depend.text for depend in manifest.iter("exec_depend")}
-    assert declared == {ROSDEP_KEYS.get(name, name) for name in third_party(package) - PIP_ONLY}
+    without_key = PIP_ONLY | COMES_ALONG | OPTIONAL
+    assert declared == {ROSDEP_KEYS.get(name, name) for name in third_party(package) - without_key}
 
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_setup_py_declares_what_is_imported(package: str) -> None:
-    names = third_party(package) & (PIP_ONLY | set(ROSDEP_KEYS))
+    names = third_party(package) & (PIP_ONLY | COMES_ALONG | set(ROSDEP_KEYS))
     assert install_requires(package) == {PIP_NAMES.get(name, name) for name in names}
 
 
+def test_extras_declare_what_is_optional() -> None:
+    extras = setup_argument("insdvl", "extras_require")
+    assert {name: set(extras[name]) for name in extras if name != "test"} == EXTRAS
+    assert third_party("insdvl") & OPTIONAL == OPTIONAL
+    assert (
+        set().union(*(third_party(package) for package in PACKAGES.keys() - {"insdvl"})) & OPTIONAL
+        == set()
+    )
+
+
 def test_requirements_cover_the_packages() -> None:
-    assert set().union(*(install_requires(package) for package in PACKAGES)) <= required()
+    needed = set().union(*(install_requires(package) for package in PACKAGES))
+    assert needed | EXTRAS["dask"] | EXTRAS["onnx"] <= required()
+    assert not EXTRAS["dnn"] & required()
 
 
 def test_readme_names_what_rosdep_cannot_give() -> None:
@@ -97,24 +136,30 @@ def test_every_requirement_has_one_pin(version: str) -> None:
         if pin.marker is None or pin.marker.evaluate(environment):
             pins.setdefault(canonicalize_name(pin.name), []).append(str(pin.specifier))
     assert {name: pin for name, pin in pins.items() if len(pin) != 1} == {}
-    assert required() <= pins.keys()
+    assert required() | OPTIONAL <= pins.keys()
 
 
 def test_the_core_is_free_of_ros(tmp_path: Path) -> None:
     """Neither in its text nor in what an import of all of it loads."""
-    allowed = PIP_ONLY | set(ROSDEP_KEYS)
-    assert third_party("insdvl") <= allowed
+    assert third_party("insdvl") <= PIP_ONLY | COMES_ALONG | set(ROSDEP_KEYS) | OPTIONAL
 
-    names = [
-        ".".join(module.relative_to(ROOT / "src").with_suffix("").parts)
-        for module in modules("insdvl")
-        if module.name not in ("__init__.py", "__main__.py")
-    ]
-    code = f"import sys\nfor name in {names}: __import__(name)\nprint(*sys.modules)"
-    result = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True
-    )
-    assert result.returncode == 0, result.stderr
-    loaded = result.stdout.split()
+    code = f"import sys\nfor name in {core_modules()}: __import__(name)\nprint(*sys.modules)"
+    loaded = output(code, tmp_path).split()
     assert "insdvl.kernels" in loaded
     assert [name for name in loaded if re.match(r"rclpy|rosidl|rpyutils|\w+_msgs\b", name)] == []
+
+
+def test_the_core_starts_without_the_optional_packages(tmp_path: Path) -> None:
+    code = f"""
+import sys
+
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {sorted(OPTIONAL)}:
+            raise ModuleNotFoundError(name)
+
+sys.meta_path.insert(0, Absent())
+for name in {core_modules()}:
+    __import__(name)
+"""
+    output(code, tmp_path)
