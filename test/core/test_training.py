@@ -98,14 +98,11 @@ def test_the_data_set_depends_on_the_seed_and_not_on_the_workers(small):
 
 
 def test_the_random_split_is_80_to_20_without_overlap():
-    data = DataSet(
-        np.empty((72_000, 0)), np.empty(72_000), np.empty(72_000), np.empty(72_000, np.int64)
-    )
-    training, test = dataset.random_split(data, seed=0)
+    training, test = dataset.random_split(72_000, seed=0)
     assert training.size == 57_600 and test.size == 14_400
     np.testing.assert_array_equal(np.sort(np.concatenate([training, test])), np.arange(72_000))
-    np.testing.assert_array_equal(dataset.random_split(data, seed=0)[1], test)
-    shared = np.intersect1d(dataset.random_split(data, seed=1)[1], test).size
+    np.testing.assert_array_equal(dataset.random_split(72_000, seed=0)[1], test)
+    shared = np.intersect1d(dataset.random_split(72_000, seed=1)[1], test).size
     assert shared == pytest.approx(14_400 / 5, rel=0.05)
 
 
@@ -137,7 +134,7 @@ def test_the_model_depends_on_the_seed_and_not_on_the_workers(trained):
 
 
 def test_the_model_is_the_one_of_the_random_split(small, trained):
-    training, test = dataset.random_split(small, seed=7)
+    training, test = dataset.random_split(small.q.size, seed=7)
     fitted = ensemble.fit(small.X[training], small.q[training], 8, seed=7)
     assert fitted.n_estimators == 30
     assert fitted.estimator.min_samples_leaf == 8

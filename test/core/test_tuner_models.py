@@ -57,6 +57,43 @@ def test_variances_are_the_forests_answer_to_the_features():
     assert np.mean(model.variances(windows)) == pytest.approx(0.15**2, rel=0.1)
 
 
+# What the scale-equivariant model promises
+
+
+def test_the_default_model_knows_noise_of_any_size_and_unit():
+    """White noise on smooth motion, over 16 decades of variance; sigma of the RMSE is 1.6 %."""
+    model = load_model("default")
+    rng = np.random.default_rng(2)
+    t = np.arange(200) / 100.0
+    for sigma in (1e-6, 1e-3, 0.1, 1.0, 100.0):
+        motion = 9.8 + sigma * np.array([3.0 * t - t**2 + 0.4 * t**5, np.exp(t), np.sin(1.5 * t)])
+        windows = np.repeat(motion, 700, axis=0) + sigma * rng.standard_normal((2100, 200))
+        relative = model.variances(windows) / sigma**2 - 1.0
+        assert np.sqrt(np.mean(relative**2)) == pytest.approx(np.sqrt(2.0 / 194.0), rel=0.08)
+        assert abs(relative.mean()) < 0.015
+
+
+@pytest.mark.parametrize("factor", [2.0**-60, 2.0**-9, 2.0**40])
+def test_the_default_model_is_equivariant_to_the_bit_for_powers_of_two(factor):
+    model = load_model("default")
+    windows = np.random.default_rng(3).normal(0.3, 0.1, (50, 200))
+    expected = factor**2 * model.variances(windows)
+    np.testing.assert_array_equal(model.variances(factor * windows), expected)
+
+
+def test_the_default_model_answers_the_same_under_gravity():
+    model = load_model("default")
+    windows = np.random.default_rng(4).normal(0.0, 1e-3, (200, 200))
+    plain = model.variances(windows)
+    for offset in (-9.80665, 9.80665, 1000.0):
+        np.testing.assert_allclose(model.variances(windows + offset), plain, rtol=1e-6)
+
+
+@pytest.mark.parametrize("value", [0.0, 9.80665, -1e-30, 1e69])
+def test_the_default_model_says_that_a_constant_window_has_no_noise(value):
+    assert load_model("default").variances(np.full((1, 200), value)).tolist() == [0.0]
+
+
 @pytest.mark.parametrize("shape", [(200,), (6, 199), (6, 201)])
 def test_windows_of_another_length_are_refused(shape):
     with pytest.raises(ValueError, match=r"windows must be \(M, 200\)"):

@@ -254,7 +254,7 @@ def train(
         {split: training for split, (training, _) in splits.items()},
         shared=(data.X, schema.encode(data.q, data.scale), not schema.relative, epochs, seed),
         store=store,
-        label="fits",
+        label=f"fits {recipe.name}",
     )
     files = {split: to_onnx(weights, window) for split, weights in zip(splits, fits, strict=True)}
     networks = {split: Network.load(file) for split, file in files.items()}
