@@ -24,7 +24,8 @@ its windows, by the error on a trajectory that was left out.
 Numbers that are drawn, the first weights, the order of the examples and the signs, come from numpy:
 the same versions on the same kind of processor give the same bytes, on any number of workers.
 
-torch, onnx (`insdvl[dnn]`) and onnxruntime (`insdvl[onnx]`) are imported when a network is trained, not before.
+torch, onnx (`insdvl[dnn]`) and onnxruntime (`insdvl[onnx]`) are imported when a network is trained,
+not before.
 """
 
 import platform
