@@ -202,7 +202,7 @@ def test_the_command_writes_the_same_bytes_again(quick, tmp_path):
     [
         (["--jobs", "0"], "--jobs must be >= 1, got 0"),
         (["--window", "9"], "--window must be within 10 to 2000, got 9"),
-        (["--backend", "dask", "--scheduler", "tcp://127.0.0.1:9"], "no Dask scheduler answers at"),
+        (["--scheduler", "tcp://host:8786"], "--scheduler tcp://host:8786 needs --backend dask"),
         (["--seed", "-1"], "--seed must be within 0 to 4294967295, got -1"),
         (["--seed", str(2**32)], "--seed must be within 0 to 4294967295, got 4294967296"),
         (["--out", "file"], "--out file: file is not a folder"),
@@ -235,12 +235,16 @@ def test_a_disk_that_fails_leaves_the_earlier_model_as_it_was(quick, tmp_path, m
     before = {name: (tmp_path / name).read_bytes() for name in files_below(tmp_path)}
 
     def full(source: Path, target: Path) -> None:
-        raise OSError(28, "No space left on device")
+        if target.parent == tmp_path:
+            raise OSError(28, "No space left on device")
+        replace(source, target)
 
+    replace = os.replace
     monkeypatch.setattr(os, "replace", full)
     assert cli.main([*TRAIN, "--seed", "1", "--out", str(tmp_path)]) == 2
     assert "No space left on device" in capsys.readouterr().err
-    assert {name: (tmp_path / name).read_bytes() for name in files_below(tmp_path)} == before
+    assert {name: (tmp_path / name).read_bytes() for name in before} == before
+    assert {file.name for file in tmp_path.iterdir()} == {*before, ".paper.work"}
 
 
 def test_an_interrupted_training_goes_on_from_what_is_finished(tmp_path, monkeypatch):
