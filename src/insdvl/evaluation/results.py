@@ -118,7 +118,13 @@ def _parts(arguments: argparse.Namespace) -> list[str]:
 
 def _compute(part: str, arguments: argparse.Namespace, folder: Path, pool: Pool) -> Store:
     """Compute a part and write its numbers and pictures; what it keeps is still there."""
-    store = Store(folder / f".{part}.work", {"runs": arguments.runs, "seed": arguments.seed})
+    depends_on: dict[str, Any] = {"runs": arguments.runs, "seed": arguments.seed}
+    if part == VEHICLE:
+        settings = vehicle.Settings.load(arguments.config)
+        recordings = vehicle.load_all(arguments.recordings, settings)
+        models = {row: load_model(LEARNED[row]) for row in ("hcf paper", "hcf default")}
+        depends_on |= vehicle.fingerprint(recordings, settings, models)
+    store = Store(folder / f".{part}.work", depends_on)
     if part in PLANS:
         plan = replace(
             PLANS[part],
@@ -135,11 +141,10 @@ def _compute(part: str, arguments: argparse.Namespace, folder: Path, pool: Pool)
     elif part == WINDOW:
         document = window.study(_WINDOW_RUNS, arguments.seed, pool, store)
     else:
-        settings = vehicle.Settings.load(arguments.config)
         document = vehicle.study(
-            vehicle.load_all(arguments.recordings, settings),
+            recordings,
             settings,
-            {row: load_model(LEARNED[row]) for row in ("hcf paper", "hcf default")},
+            models,
             runs=_RECORDING_RUNS,
             tuning_runs=_RECORDING_TUNING_RUNS,
             seed=arguments.seed,
