@@ -119,45 +119,41 @@ def _parts(arguments: argparse.Namespace) -> list[str]:
 
 def _compute(part: str, arguments: argparse.Namespace, folder: Path, pool: Pool) -> Store:
     """Compute a part and write its numbers and pictures; what it keeps is still there."""
-    options = arguments.runs, arguments.tuning_runs, arguments.seed
-    store = Store(
-        folder / f".{part}.work",
-        {"options": options, "plan": _settled(part), "models": fingerprint(tuple(LEARNED))},
-    )
+    seed, work = arguments.seed, folder / f".{part}.work"
+    models = fingerprint(tuple(LEARNED))
     if part in PLANS:
         plan = replace(
-            PLANS[part],
-            runs=arguments.runs,
-            tuning_runs=arguments.tuning_runs,
-            seed=arguments.seed,
+            PLANS[part], runs=arguments.runs, tuning_runs=arguments.tuning_runs, seed=seed
         )
+        store = Store(work, {"plan": asdict(plan), "models": models})
         compared = compare(plan, pool, store)
         document = compared.document
         drawn = {row: compared.series[row] for row in _DRAWN if row in compared.series}
         plots.errors_over_time(folder / f"{part}.png", part, drawn)
-    elif part == ACCURACY:
-        document = accuracy.study(arguments.seed, pool, store)
-    elif part == WINDOW:
-        document = window.study(_WINDOW_RUNS, arguments.seed, pool, store)
-    else:
+    elif part == VEHICLE:
         settings = vehicle.Settings.load(arguments.config)
+        recordings = vehicle.load_all(arguments.recordings, settings)
+        learned = {row: load_model(LEARNED[row]) for row in ("hcf paper", "hcf default")}
+        store = Store(work, {"seed": seed, **vehicle.fingerprint(recordings, settings, learned)})
         document = vehicle.study(
-            vehicle.load_all(arguments.recordings, settings),
+            recordings,
             settings,
-            {row: load_model(LEARNED[row]) for row in ("hcf paper", "hcf default")},
+            learned,
             runs=_RECORDING_RUNS,
             tuning_runs=_RECORDING_TUNING_RUNS,
-            seed=arguments.seed,
+            seed=seed,
             pool=pool,
             store=store,
         )
+    else:
+        store = Store(work, {"seed": seed, "models": models})
+        if part == ACCURACY:
+            document = accuracy.study(seed, pool, store)
+        else:
+            document = window.study(_WINDOW_RUNS, seed, pool, store)
     document["environment"] = parallel.environment()
     write(folder / f"{part}.json", json_text(document).encode())
     return store
-
-
-def _settled(part: str) -> dict[str, Any] | None:
-    return asdict(PLANS[part]) if part in PLANS else None
 
 
 def _documents(folder: Path) -> dict[str, Any]:

@@ -11,6 +11,8 @@ a grid on the other recordings, with other seeds. Recordings of one stretch of t
 independent of each other: they are left out together, and drawn together by the bootstrap.
 """
 
+import hashlib
+import pickle
 import zlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -31,7 +33,13 @@ from insdvl.events import NS, Event, Imu, ProcessNoise
 from insdvl.fold import FoldResult, run
 from insdvl.frames import CONVENTIONS
 from insdvl.parallel import Pool, Store
-from insdvl.parameters import FilterParameters, ReplayParameters, TunerParameters, load_section
+from insdvl.parameters import (
+    FilterParameters,
+    ReplayParameters,
+    TunerParameters,
+    flatten,
+    load_section,
+)
 from insdvl.replay import Injection, changes, errors_of, read, recorded_events, truth_of
 from insdvl.tuner.closed_form import degree_5
 from insdvl.tuner.models import Model
@@ -201,9 +209,26 @@ def stretches(recordings: Sequence[Recording]) -> NDArray[np.int64]:
     return connected_components(np.array(shared), directed=False)[1].astype(np.int64)
 
 
+def fingerprint(
+    recordings: Sequence[Recording], settings: Settings, models: Mapping[str, Model]
+) -> dict[str, Any]:
+    """What the numbers depend on beside seeds and sources, for a `Store`."""
+    return {
+        "recordings": {
+            recording.name: hashlib.sha256(pickle.dumps(recording)).hexdigest()
+            for recording in recordings
+        },
+        "settings": [
+            flatten(group) for group in (settings.filter, settings.tuner, settings.replay)
+        ],
+        "models": {row: model.card["sha256"] for row, model in models.items()},
+    }
+
+
 def _stream_axes(settings: Settings) -> Array:
     """(6, 6) rotation of both triads between forward-right-down and the stream; its own inverse."""
-    rotation: Array = np.kron(np.eye(2), CONVENTIONS[settings.filter.frame_convention].body)
+    rotation = np.zeros((6, 6))
+    rotation[:3, :3] = rotation[3:, 3:] = CONVENTIONS[settings.filter.frame_convention].body
     return rotation
 
 
