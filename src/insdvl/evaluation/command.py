@@ -9,14 +9,13 @@ from pathlib import Path
 from insdvl import parallel
 from insdvl.evaluation import tables
 from insdvl.evaluation.approaches import PRESETS, ROWS, Setting, fingerprint
-from insdvl.evaluation.comparison import Plan, compare
+from insdvl.evaluation.comparison import MIN_RUNS, Plan, compare
 from insdvl.files import check_writable, json_text, write
 from insdvl.parallel import Store, TaskError
 from insdvl.simulation.noise import SCENARIOS
 from insdvl.simulation.trajectories import AUV
 
 ERROR_STATES = ("invariant", "ned")
-MIN_RUNS = 2  # fewer have no interval
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -24,7 +24,7 @@ from insdvl.evaluation.approaches import (
     Setting,
     fingerprint,
 )
-from insdvl.evaluation.comparison import Plan, compare
+from insdvl.evaluation.comparison import MIN_RUNS, Plan, compare
 from insdvl.files import check_writable, json_text, write
 from insdvl.parallel import Pool, Store, TaskError
 from insdvl.simulation.noise import SCENARIOS
@@ -85,8 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
                 stores = [_compute(part, arguments, folder, pool) for part in parts]
             for store in stores:  # kept until now: an interrupted command resumes
                 store.clear()
-        documents = _documents(folder)
-        write(arguments.out / "results.md", page.markdown(documents).encode())
+        write(arguments.out / "results.md", page.markdown(documents(folder)).encode())
     except TaskError as error:
         print(f"insdvl results: {error}", file=sys.stderr)
         return 1
@@ -99,10 +98,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _parts(arguments: argparse.Namespace) -> list[str]:
     """The parts that are asked for, in their order."""
-    if arguments.runs < 2 or arguments.tuning_runs < 2:
-        raise ValueError(
-            f"--runs and --tuning-runs must be >= 2, got {arguments.runs}, {arguments.tuning_runs}"
-        )
+    for option, value in ("--runs", arguments.runs), ("--tuning-runs", arguments.tuning_runs):
+        if value < MIN_RUNS:
+            raise ValueError(f"{option} must be >= {MIN_RUNS}, got {value}")
     if arguments.seed < 0:
         raise ValueError(f"--seed must be >= 0, got {arguments.seed}")
     recorded = arguments.recordings is not None and arguments.config is not None
@@ -156,11 +154,11 @@ def _compute(part: str, arguments: argparse.Namespace, folder: Path, pool: Pool)
     return store
 
 
-def _documents(folder: Path) -> dict[str, Any]:
-    """The parts that have been computed, now or before."""
-    documents = {}
-    for part in PARTS:
-        file = folder / f"{part}.json"
-        if file.exists():
-            documents[part] = json.loads(file.read_text(encoding="utf-8"))
-    return documents
+def documents(folder: Path) -> dict[str, Any]:
+    """The parts of a folder that have been computed, now or before."""
+    files = {part: folder / f"{part}.json" for part in PARTS}
+    return {
+        part: json.loads(file.read_text(encoding="utf-8"))
+        for part, file in files.items()
+        if file.exists()
+    }
