@@ -12,6 +12,7 @@ import pytest
 from insdvl.tuner import models
 from insdvl.tuner.features import FEATURE_NAMES, features
 from insdvl.tuner.models import KINDS, ModelError, load_model, sha256
+from insdvl.tuner.schemas import SCHEMAS
 
 
 @pytest.fixture
@@ -159,6 +160,14 @@ def test_a_card_that_does_not_fit_is_refused(model, change, message):
     with pytest.raises(ModelError, match=r"paper\.json") as refusal:
         load_model(str(model))
     assert message in str(refusal.value)
+
+
+@pytest.mark.parametrize("name", sorted(SCHEMAS))
+def test_the_shortest_window_of_a_schema_is_one_that_it_can_use(name):
+    schema = SCHEMAS[name]
+    X, scale = schema.extract(np.random.default_rng(0).standard_normal((3, schema.min_samples)))
+    assert X.shape == (3, schema.width(schema.min_samples)) and scale.shape == (3,)
+    assert np.isfinite(X).all()
 
 
 def rewrite(model: Path, **changes: np.ndarray) -> None:
