@@ -68,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--config", type=Path, metavar="FILE", help=f"YAML of the recordings; {VEHICLE} needs it"
     )
     parser.add_argument("--runs", type=int, default=100, metavar="N", help="(default: 100)")
-    parser.add_argument("--tuning-runs", type=int, default=10, metavar="N", help="(default: 10)")
+    parser.add_argument("--tuning-runs", type=int, default=5, metavar="N", help="(default: 5)")
     parser.add_argument("--seed", type=int, default=1, help="of all parts (default: 1)")
     parallel.add_arguments(parser)
 
