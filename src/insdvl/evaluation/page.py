@@ -67,7 +67,58 @@ def _nees(part: str, block: str) -> Target:
     )
 
 
+def _accuracy_of(span: str, words: str, limit: float) -> Target:
+    def measured(documents: Documents) -> tuple[str, bool] | None:
+        rows = documents.get("q-accuracy", {"rows": []})["rows"]
+        learned = next((r for r in rows if r["estimator"] == "hcf default"), None)
+        if learned is None:
+            return None
+        error = learned["auv"][span]["all"]["relative_rmse"]
+        return f"{100.0 * error:.1f} %", error <= limit
+
+    return Target(f"relative RMSE of q, {words}, at most {100.0 * limit:.1f} %", measured)
+
+
+def _injected(reference: str, limit: float) -> Target:
+    def measured(documents: Documents) -> tuple[str, bool] | None:
+        if "vehicle" not in documents:
+            return None
+        ratios = documents["vehicle"]["injections"]["sensor"]["ratio_to"][reference]
+        ratio = ratios["hcf default"]["body_velocity_rmse"]
+        return interval(ratio), ratio[0] <= limit
+
+    return Target(
+        f"recordings with injected noise: body velocity, learned / {reference}, paired mean at "
+        f"most {limit:g}",
+        measured,
+    )
+
+
+def _harmless(metric: str, words: str) -> Target:
+    """Within 2 % on the mean of the recordings, 5 % on each."""
+
+    def measured(documents: Documents) -> tuple[str, bool] | None:
+        if "vehicle" not in documents:
+            return None
+        rows = documents["vehicle"]["as_recorded"]["rows"]
+        learned, hand_set = (rows[name][metric] for name in ("hcf default", "hand-set"))
+        each = {name: learned[name] / hand_set[name] for name in learned if name != "mean"}
+        mean = documents["vehicle"]["as_recorded"]["ratio_to"]["hand-set"]["hcf default"][metric][0]
+        worst = max(each, key=each.__getitem__)
+        text = f"{mean:.3f}; largest {each[worst]:.3f} ({worst})"
+        return text, mean <= 1.02 and each[worst] <= 1.05
+
+    return Target(
+        f"recordings as they are: {words}, learned / hand-set, at most 1.02 on the mean and 1.05 "
+        "on each",
+        measured,
+    )
+
+
 TARGETS = (
+    _accuracy_of("in range", "in the range of the training", 0.104),
+    _accuracy_of("1/1000", "at variances 1000 times smaller", 0.11),
+    _accuracy_of("x 10", "at variances 10 times larger", 0.11),
     *(
         _ratio(f"{scenario}-calibrated", "oracle", metric, limit)
         for scenario, limit in (
@@ -93,6 +144,11 @@ TARGETS = (
         for scenario in ("varying", "wide")
         for block in ("velocity", "attitude", "velocity_attitude")
     ),
+    _injected("told", 1.02),
+    _injected("best constant", 0.85),
+    _harmless("body_velocity_rmse", "body velocity"),
+    _harmless("velocity_rmse", "NED velocity"),
+    _harmless("position_rmse_horizontal", "horizontal position"),
 )
 
 
