@@ -487,7 +487,7 @@ class TunerParameters:
 
     enabled: bool = parameter(True, "Publish process_noise; ~/enable changes it at run time.")
     model: str = parameter(
-        "paper", "Name of a model that ships with insdvl, or the path of an .npz file."
+        "default", "Name of a model that ships with insdvl, or the path of a model's file."
     )
     rate: float = parameter(
         1.0, "How often Q is learned, in the time of the stamps.", unit="Hz", above=0.0, high=100.0

@@ -12,6 +12,7 @@ import pytest
 from insdvl.tuner import models
 from insdvl.tuner.features import FEATURE_NAMES, features
 from insdvl.tuner.models import KINDS, ModelError, load_model, sha256
+from insdvl.tuner.schemas import SCHEMAS
 
 
 @pytest.fixture
@@ -55,6 +56,43 @@ def test_variances_are_the_forests_answer_to_the_features():
         model.variances(windows), model.regressor.predict(features(windows))
     )
     assert np.mean(model.variances(windows)) == pytest.approx(0.15**2, rel=0.1)
+
+
+# What the scale-equivariant model promises
+
+
+def test_the_default_model_knows_noise_of_any_size_and_unit():
+    """White noise on smooth motion, over 16 decades of variance; sigma of the RMSE is 1.6 %."""
+    model = load_model("default")
+    rng = np.random.default_rng(2)
+    t = np.arange(200) / 100.0
+    for sigma in (1e-6, 1e-3, 0.1, 1.0, 100.0):
+        motion = 9.8 + sigma * np.array([3.0 * t - t**2 + 0.4 * t**5, np.exp(t), np.sin(1.5 * t)])
+        windows = np.repeat(motion, 700, axis=0) + sigma * rng.standard_normal((2100, 200))
+        relative = model.variances(windows) / sigma**2 - 1.0
+        assert np.sqrt(np.mean(relative**2)) == pytest.approx(np.sqrt(2.0 / 194.0), rel=0.08)
+        assert abs(relative.mean()) < 0.015
+
+
+@pytest.mark.parametrize("factor", [2.0**-60, 2.0**-9, 2.0**40])
+def test_the_default_model_is_equivariant_to_the_bit_for_powers_of_two(factor):
+    model = load_model("default")
+    windows = np.random.default_rng(3).normal(0.3, 0.1, (50, 200))
+    expected = factor**2 * model.variances(windows)
+    np.testing.assert_array_equal(model.variances(factor * windows), expected)
+
+
+def test_the_default_model_answers_the_same_under_gravity():
+    model = load_model("default")
+    windows = np.random.default_rng(4).normal(0.0, 1e-3, (200, 200))
+    plain = model.variances(windows)
+    for offset in (-9.80665, 9.80665, 1000.0):
+        np.testing.assert_allclose(model.variances(windows + offset), plain, rtol=1e-6)
+
+
+@pytest.mark.parametrize("value", [0.0, 9.80665, -1e-30, 1e69])
+def test_the_default_model_says_that_a_constant_window_has_no_noise(value):
+    assert load_model("default").variances(np.full((1, 200), value)).tolist() == [0.0]
 
 
 @pytest.mark.parametrize("shape", [(200,), (6, 199), (6, 201)])
@@ -112,7 +150,7 @@ def test_a_card_that_is_no_json_object_is_named(model, text):
         ({"window": "200"}, "window must be of type int, got '200'"),
         ({"window": True}, "window must be of type int, got True"),
         ({"window": 2}, "window must be >= 3, got 2"),
-        ({"feature_schema": "wavelets"}, "'wavelets' is unknown, known are paper"),
+        ({"feature_schema": "wavelets"}, "'wavelets' is unknown, known are default, paper"),
         ({"features": list(FEATURE_NAMES[::-1])}, "features are not those of the schema 'paper'"),
         ({"features": []}, "features are not those of the schema 'paper'"),
     ],
@@ -122,6 +160,14 @@ def test_a_card_that_does_not_fit_is_refused(model, change, message):
     with pytest.raises(ModelError, match=r"paper\.json") as refusal:
         load_model(str(model))
     assert message in str(refusal.value)
+
+
+@pytest.mark.parametrize("name", sorted(SCHEMAS))
+def test_the_shortest_window_of_a_schema_is_one_that_it_can_use(name):
+    schema = SCHEMAS[name]
+    X, scale = schema.extract(np.random.default_rng(0).standard_normal((3, schema.min_samples)))
+    assert X.shape == (3, schema.width(schema.min_samples)) and scale.shape == (3,)
+    assert np.isfinite(X).all()
 
 
 def rewrite(model: Path, **changes: np.ndarray) -> None:

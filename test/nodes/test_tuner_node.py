@@ -211,7 +211,7 @@ def test_unusable_messages_are_counted_and_named_in_the_diagnostics(graph):
     assert value("rejected imu/data_raw: no_data") == "1"
     assert value("duplicates") == "1"
     assert value("out_of_order") == "1"
-    assert value("model") == "paper"
+    assert value("model") == "default"
     assert value("sent process_noise") == "3"
     assert float(value("Q sigma f_x [m/s^2]")) == pytest.approx(0.1, rel=0.2)
     assert statuses[-1].level == DiagnosticStatus.OK

@@ -167,12 +167,12 @@ def _adaptive(
 
 
 #: Variances of the search for the best constant: decades around all that the scenarios have, then
-#: steps of a quarter of a decade around the best of those.
+#: steps of a third of a decade around the best of those.
 _F_DECADES = (1e-4, 1e-3, 1e-2, 1e-1, 1.0)
 _W_DECADES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
-_STEPS = tuple(10.0 ** (0.25 * step) for step in range(-2, 3))
-_XI_GRID = (1, 2, 5, 10, 20, 50, 100)
-_TAU_GRID = (1.0, 3.0, 10.0, 30.0, 100.0)
+_STEPS = tuple(10.0 ** (step / 3.0) for step in range(-1, 2))
+_XI_GRID = (1, 2, 5, 10, 20, 50)
+_TAU_GRID = (1.0, 3.0, 10.0, 30.0)
 
 
 def constants(setting: Setting, around: Approach | None = None) -> tuple[Approach, ...]:
@@ -214,6 +214,15 @@ def adaptives(setting: Setting, best: tuple[float, float]) -> dict[str, tuple[Ap
         for (f, w), tau in product((FIRST, best), _TAU_GRID)
     )
     return {BEST_XI: xi, VARIATIONAL: tau}
+
+
+def fingerprint(rows: Sequence[str]) -> dict[str, str]:
+    """SHA-256 of the models that the rows use, by row."""
+    return {
+        row: load_model(LEARNED[row]).card["sha256"]
+        for row in rows
+        if row in LEARNED and row not in unavailable([row])
+    }
 
 
 @cache

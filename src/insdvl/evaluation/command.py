@@ -8,7 +8,7 @@ from pathlib import Path
 
 from insdvl import parallel
 from insdvl.evaluation import tables
-from insdvl.evaluation.approaches import PRESETS, ROWS, Setting
+from insdvl.evaluation.approaches import PRESETS, ROWS, Setting, fingerprint
 from insdvl.evaluation.comparison import Plan, compare
 from insdvl.files import check_writable, json_text, write
 from insdvl.parallel import Store, TaskError
@@ -77,7 +77,8 @@ def run(arguments: argparse.Namespace) -> int:
         workers = parallel.workers_of(arguments)
         with parallel.pool(workers) as pool:
             store = Store(
-                arguments.json.with_name(arguments.json.name + ".work"), {"plan": asdict(plan)}
+                arguments.json.with_name(arguments.json.name + ".work"),
+                {"plan": asdict(plan), "models": fingerprint(plan.rows)},
             )
             comparison = compare(plan, pool, store)
         write(arguments.json, json_text(comparison.document).encode())

@@ -9,7 +9,7 @@ import argparse
 import json
 import sys
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from insdvl.evaluation.approaches import (
     LEARNED,
     ORACLE,
     Setting,
+    fingerprint,
 )
 from insdvl.evaluation.comparison import Plan, compare
 from insdvl.files import check_writable, json_text, write
@@ -118,12 +119,16 @@ def _parts(arguments: argparse.Namespace) -> list[str]:
 
 def _compute(part: str, arguments: argparse.Namespace, folder: Path, pool: Pool) -> Store:
     """Compute a part and write its numbers and pictures; what it keeps is still there."""
-    depends_on: dict[str, Any] = {"runs": arguments.runs, "seed": arguments.seed}
+    options = arguments.runs, arguments.tuning_runs, arguments.seed
+    depends_on: dict[str, Any] = {
+        "options": options,
+        "plan": _settled(part),
+        "models": fingerprint(tuple(LEARNED)),
+    }
     if part == VEHICLE:
         settings = vehicle.Settings.load(arguments.config)
         recordings = vehicle.load_all(arguments.recordings, settings)
-        models = {row: load_model(LEARNED[row]) for row in ("hcf paper", "hcf default")}
-        depends_on |= vehicle.fingerprint(recordings, settings, models)
+        depends_on |= vehicle.fingerprint(recordings, settings)
     store = Store(folder / f".{part}.work", depends_on)
     if part in PLANS:
         plan = replace(
@@ -144,7 +149,7 @@ def _compute(part: str, arguments: argparse.Namespace, folder: Path, pool: Pool)
         document = vehicle.study(
             recordings,
             settings,
-            models,
+            {row: load_model(LEARNED[row]) for row in ("hcf paper", "hcf default")},
             runs=_RECORDING_RUNS,
             tuning_runs=_RECORDING_TUNING_RUNS,
             seed=arguments.seed,
@@ -154,6 +159,10 @@ def _compute(part: str, arguments: argparse.Namespace, folder: Path, pool: Pool)
     document["environment"] = parallel.environment()
     write(folder / f"{part}.json", json_text(document).encode())
     return store
+
+
+def _settled(part: str) -> dict[str, Any] | None:
+    return asdict(PLANS[part]) if part in PLANS else None
 
 
 def _documents(folder: Path) -> dict[str, Any]:

@@ -120,7 +120,7 @@ def _checked(arguments: argparse.Namespace) -> Workers:
     if missing:
         raise ValueError(
             f"--preset {arguments.preset} needs {', '.join(missing)}: "
-            "install the extra packages of insdvl[dnn,onnx]"
+            "install the extra packages of insdvl[dnn] and insdvl[onnx]"
         )
     # Minutes of work come before the files: whether they can be written is tried first.
     existing = arguments.out

@@ -55,6 +55,11 @@ class Recipe:
     n_windows: int = WINDOWS
 
     @property
+    def name(self) -> str:
+        """Tells data sets apart that a study makes."""
+        return f"{self.schema}-{self.window}"
+
+    @property
     def stride(self) -> int:
         """Samples from the beginning of a window to that of the next."""
         return max(self.window, WINDOW)
@@ -113,7 +118,9 @@ def build(recipe: Recipe, pool: Pool, store: Store | None = None) -> DataSet:
     recordings = {
         f"{name}-{j:02}": (i, j) for i, name in enumerate(BASELINE) for j in range(VARIANCES.size)
     }
-    parts = pool.run(_examples, recordings, shared=recipe, store=store, label="data set")
+    parts = pool.run(
+        _examples, recordings, shared=recipe, store=store, label=f"data set {recipe.name}"
+    )
     size = CHANNELS * recipe.windows_per_channel
     return DataSet(
         X=np.concatenate([part["X"] for part in parts]),
@@ -128,11 +135,11 @@ def _examples(recipe: Recipe, recording: tuple[int, int]) -> Result:
     return {"X": X, "scale": scale}
 
 
-def random_split(data: DataSet, seed: int) -> tuple[Indices, Indices]:
-    """Training and test examples as published: 80 : 20 at random over all."""
+def random_split(n: int, seed: int) -> tuple[Indices, Indices]:
+    """Training and test examples as published: 80 : 20 at random over all n."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=_SPLIT_STREAM))
-    order = rng.permutation(data.q.size)
-    n_train = round(TRAIN_FRACTION * data.q.size)
+    order = rng.permutation(n)
+    n_train = round(TRAIN_FRACTION * n)
     return np.sort(order[:n_train]), np.sort(order[n_train:])
 
 

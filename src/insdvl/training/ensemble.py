@@ -126,7 +126,7 @@ def train(
         {name: training for name, (training, _) in splits.items()},
         shared=(data.X, schema.encode(data.q, data.scale), PRESETS[preset], seed),
         store=store,
-        label="fits",
+        label=f"fits {recipe.name}",
     )
     forests = {name: Forest(arrays) for name, arrays in zip(splits, fits, strict=True)}
 

@@ -33,7 +33,7 @@ TARGETS = {
 def splits_of(data: DataSet, seed: int) -> Splits:
     """Training and test examples of the published split, and of each without a trajectory."""
     unseen = {name: dataset.trajectory_split(data, i) for i, name in enumerate(BASELINE)}
-    return {RANDOM: dataset.random_split(data, seed), **unseen}
+    return {RANDOM: dataset.random_split(data.q.size, seed), **unseen}
 
 
 def described(recipe: Recipe, data: DataSet) -> dict[str, Any]:

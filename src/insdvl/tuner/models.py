@@ -17,7 +17,6 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl.tuner.features import MIN_SAMPLES
 from insdvl.tuner.forest import Forest
 from insdvl.tuner.network import Network
 from insdvl.tuner.schemas import SCHEMAS, Schema
@@ -171,10 +170,6 @@ def _card(file: Path) -> dict[str, Any]:
             f"the model's card {file}: kind {card['kind']!r} is unknown, known are "
             f"{', '.join(KINDS)}"
         )
-    if card["window"] < MIN_SAMPLES:
-        raise ModelError(
-            f"the model's card {file}: window must be >= {MIN_SAMPLES}, got {card['window']}"
-        )
     return card
 
 
@@ -189,5 +184,9 @@ def _schema(card: Mapping[str, Any], file: Path) -> Schema:
         raise ModelError(
             f"the model's card {file}: its features are not those of the schema "
             f"{card['feature_schema']!r} in this version"
+        )
+    if card["window"] < schema.min_samples:
+        raise ModelError(
+            f"the model's card {file}: window must be >= {schema.min_samples}, got {card['window']}"
         )
     return schema

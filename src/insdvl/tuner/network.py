@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 MAX_BYTES = 64 * 2**20  # of a file; those that ship have a thousandth of it
 
 _FLOAT = "tensor(float)"
-_BLOCK = 8  # rows at a time: their layers stay in the cache
+_BLOCK = 8  # rows at a time: more would leave the cache
 #: The key "location" of an entry that puts a tensor's values in another file, as protobuf has it.
 _ELSEWHERE = b"\x0a\x08location"
 
@@ -109,16 +109,19 @@ class Network:
         X = np.asarray(X, dtype=np.float64)
         if X.ndim != 2 or X.shape[1] != self.n_features:
             raise ValueError(f"X must be (M, {self.n_features}), got {X.shape}")
+        # Whole blocks: onnxruntime rounds an answer in another way where fewer rows are left.
+        rows = np.zeros((-(-X.shape[0] // _BLOCK) * _BLOCK, self.n_features), np.float32)
         with np.errstate(over="ignore"):  # it is then infinite, and refused
-            rows = X.astype(np.float32)
+            rows[: X.shape[0]] = X
         wrong = ~np.isfinite(rows).all(axis=1)
         if wrong.any():
             row = int(wrong.argmax())
             raise ValueError(f"X must be finite in float32, got {X[row].tolist()} in row {row}")
-        out = np.empty(X.shape[0])
-        for start in range(0, X.shape[0], _BLOCK):
+        out = np.empty(rows.shape[0])
+        for start in range(0, rows.shape[0], _BLOCK):
             block = slice(start, start + _BLOCK)
             (out[block],) = self._session.run(None, {self._input: rows[block]})
+        out = out[: X.shape[0]]
         wrong = ~np.isfinite(out)
         if wrong.any():
             row = int(wrong.argmax())

@@ -54,8 +54,8 @@ RESIDUAL_FEATURE_NAMES = (
     "log_third_differences",
 )
 
-#: A window has at least this many samples: one more than its polynomial could pass through.
-MIN_SAMPLES = DEGREE + 3
+#: A window has at least this many samples: two more than its polynomial could pass through.
+MIN_RESIDUAL_SAMPLES = DEGREE + 3
 
 _SMALLEST_RATIO = 1e-30  # of variances: a logarithm is defined where differences round to zero
 
@@ -72,7 +72,7 @@ def residual_features(windows: Array) -> tuple[Array, Array]:
     Raises:
         ValueError: `windows` is not (M, N) with N >= 8, or a value is not within 1e70 of zero.
     """
-    windows = checked(windows, MIN_SAMPLES)
+    windows = checked(windows, MIN_RESIDUAL_SAMPLES)
     X = np.empty((windows.shape[0], len(RESIDUAL_FEATURE_NAMES)))
     scale = np.empty(windows.shape[0])
     _residual_features(windows, polynomials(windows.shape[1], DEGREE), X, scale)

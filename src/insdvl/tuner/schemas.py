@@ -16,8 +16,12 @@ from numpy.typing import NDArray
 from insdvl.kernels import kernel
 from insdvl.tuner.closed_form import DEGREE
 from insdvl.tuner.detrend import checked, polynomials, residual
-from insdvl.tuner.features import FEATURE_NAMES, features
-from insdvl.tuner.residual_features import RESIDUAL_FEATURE_NAMES, residual_features
+from insdvl.tuner.features import FEATURE_NAMES, MIN_SAMPLES, features
+from insdvl.tuner.residual_features import (
+    MIN_RESIDUAL_SAMPLES,
+    RESIDUAL_FEATURE_NAMES,
+    residual_features,
+)
 
 Array = NDArray[np.float64]
 
@@ -31,11 +35,13 @@ class Schema:
         extract: (M, N) windows to (M, F) features and (M,) scales, the variances in the square of
             the window's unit that the answers are relative to; ones where they are absolute.
         relative: Whether the answer is log(q / scale); otherwise it is q.
+        min_samples: Fewest samples of a window.
     """
 
     names: tuple[str, ...]
     extract: Callable[[Array], tuple[Array, Array]]
     relative: bool
+    min_samples: int
 
     def width(self, window: int) -> int:
         """Number F of features of a window of this many samples."""
@@ -86,9 +92,14 @@ def _scaled_residuals(windows: Array, basis: Array, out: Array, scale: Array) ->
 #: Feature schemas by the name that a model's card gives.
 SCHEMAS: Mapping[str, Schema] = MappingProxyType(
     {
-        "default": Schema(RESIDUAL_FEATURE_NAMES, residual_features, relative=True),
-        "paper": Schema(FEATURE_NAMES, _paper, relative=False),
-        "scaled_window": Schema((), _scaled_window, relative=True),
-        "window": Schema((), _window, relative=False),
+        "default": Schema(
+            RESIDUAL_FEATURE_NAMES,
+            residual_features,
+            relative=True,
+            min_samples=MIN_RESIDUAL_SAMPLES,
+        ),
+        "paper": Schema(FEATURE_NAMES, _paper, relative=False, min_samples=MIN_SAMPLES),
+        "scaled_window": Schema((), _scaled_window, relative=True, min_samples=DEGREE + 2),
+        "window": Schema((), _window, relative=False, min_samples=1),
     }
 )

@@ -82,7 +82,7 @@ class Tuner:
             return None
         try:
             variances = self.model.variances(self._window.samples())
-        except ValueError:  # finite samples whose features are beyond float32
+        except ValueError:  # finite samples whose features are not
             self._made["too_large"] += 1
             return None
         self._made["windows"] += 1
