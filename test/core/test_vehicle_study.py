@@ -30,6 +30,8 @@ CONFIG = """
       accelerometer_variance: [3.0e-3, 2.0e-3, 1.0e-3]
       gyroscope_variance: [1.0e-8, 2.0e-8, 3.0e-8]
     initial: {mode: topic}
+/**/insdvl_tuner:
+  ros__parameters: {model: paper}
 /**/insdvl_replay:
   ros__parameters:
     imu_topic: /imu
