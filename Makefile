@@ -1,6 +1,7 @@
 # make demo         sets up, then runs the navigation graph; ARGS="--seed 3 --scenario wide"
 # make test         sets up, then runs the tests; ARGS="-k filter"
 # make test-jazzy   the tests with the library versions of a full ROS 2 Jazzy; needs a Python 3.12
+# make results      computes docs/results.md again: about an hour; ARGS="--recordings DIR --config FILE"
 # make clean        removes what the set-up and the builds made
 # PYTHON=python3.11 names the interpreter for a first set-up.
 
@@ -13,11 +14,14 @@ ARGS ?=
 SOURCES := $(shell find src ros_insdvl ros_insdvl_sim models tools/build.sh tools/warm.py \
 	-name __pycache__ -prune -o -name '*.egg-info' -prune -o -print)
 
-.PHONY: demo test test-jazzy clean
+.PHONY: demo test test-jazzy results clean
 .DELETE_ON_ERROR:
 
 demo: .venv/.built
 	AMENT_PREFIX_PATH=$(CURDIR)/.venv .venv/lib/ros_insdvl_sim/demo $(ARGS)
+
+results: .venv/.built
+	.venv/bin/insdvl results $(ARGS)
 
 test: .venv/.built
 	AMENT_PREFIX_PATH=$(CURDIR)/.venv .venv/bin/pytest $(ARGS)

@@ -1,24 +1,32 @@
 """`insdvl evaluate`: its numbers, identical on any number of workers, and what it refuses."""
 
 import json
+import shutil
+import sys
+from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from insdvl.cli import main
+from insdvl.evaluation import approaches, comparison
 from insdvl.evaluation.comparison import MOST_FAILURES, summary
-from insdvl.evaluation.monte_carlo import METRICS
+from insdvl.evaluation.monte_carlo import METRICS, evaluate_run
 
 ROWS = "constant 0.01/0.001,adaptive xi=5 floored,closed form,oracle,zero velocity,perfect heading"
 FAILED = METRICS.index("failed")
+EXTRA = {"tables.md", "errors.png", "mine.npz", "mine.json"}
+MODELS = Path(str(files("insdvl") / "models"))
 
 
 def evaluate(folder: Path, *options: str) -> tuple[int, dict]:
     file = folder / "numbers.json"
     short = ("--runs", "3", "--duration", "30", "--jobs", "1", "--json", str(file))
     code = main(["evaluate", *short, *options])
-    assert sorted(folder.iterdir()) == ([file] if code == 0 else []), "something was left behind"
+    left = {entry.name for entry in folder.iterdir()} - EXTRA
+    assert left == ({file.name} if code == 0 else set()), "something was left behind"
     return code, json.loads(file.read_text()) if code == 0 else {}
 
 
@@ -53,9 +61,81 @@ def test_the_document_has_what_is_promised(document: dict) -> None:
     assert rows["perfect heading"]["srmse"] < oracle["srmse"]
 
 
-def test_two_workers_give_the_same(document: dict, tmp_path: Path) -> None:
-    _, again = evaluate(tmp_path, "--rows", ROWS, "--jobs", "2")
+@pytest.mark.parametrize("backend", ["loky", "dask"])
+def test_two_workers_give_the_same(backend: str, document: dict, tmp_path: Path) -> None:
+    _, again = evaluate(tmp_path, "--rows", ROWS, "--jobs", "2", "--backend", backend)
     assert again == document
+
+
+def test_an_interrupted_evaluation_goes_on_where_it_was(
+    document: dict,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture,
+) -> None:
+    done: list[int] = []
+
+    def interrupted(shared: Any, number: int) -> dict:
+        if number == 2 and len(done) == 2:
+            raise OSError("the power went off")
+        done.append(number)
+        return evaluate_run(shared, number)
+
+    # In this process, as a worker of its own would not see the patch.
+    monkeypatch.setattr(comparison, "evaluate_run", interrupted)
+    file = tmp_path / "numbers.json"
+    command = ("evaluate", "--rows", ROWS, "--runs", "3", "--duration", "30", "--jobs", "1")
+    assert main([*command, "--json", str(file)]) == 1
+    assert "task 2 failed: OSError: the power went off" in capsys.readouterr().err
+    assert not file.exists()
+    done.append(-1)
+    assert main([*command, "--json", str(file)]) == 0
+    assert done == [0, 1, -1, 2]
+    assert json.loads(file.read_text()) == document
+    assert [entry.name for entry in tmp_path.iterdir()] == [file.name]
+
+
+def test_tables_and_picture(tmp_path: Path) -> None:
+    tables, picture = tmp_path / "tables.md", tmp_path / "errors.png"
+    code, document = evaluate(
+        tmp_path, "--rows", "oracle", "--markdown", str(tables), "--plot", str(picture)
+    )
+    assert code == 0 and picture.read_bytes().startswith(b"\x89PNG")
+    assert f"| oracle | {document['rows'][0]['body_rmse']:.4f} [" in tables.read_text()
+
+
+def test_a_model_of_your_own_is_one_row_more(tmp_path: Path) -> None:
+    for suffix in ("npz", "json"):
+        shutil.copy(MODELS / f"default.{suffix}", tmp_path / f"mine.{suffix}")
+    mine = str(tmp_path / "mine.npz")
+    code, document = evaluate(tmp_path, "--rows", "hcf default", "--model", mine)
+    assert code == 0
+    shipped, own = document["rows"]
+    assert own["approach"] == f"model {mine}" and own["srmse"] == shipped["srmse"]
+
+
+def test_a_model_of_another_schema_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    shutil.copy(MODELS / "default.npz", tmp_path / "mine.npz")
+    card = json.loads((MODELS / "default.json").read_text())
+    (tmp_path / "mine.json").write_text(json.dumps(card | {"feature_schema": "paper"}))
+    assert evaluate(tmp_path, "--model", str(tmp_path / "mine.npz"))[0] == 2
+    error = capsys.readouterr().err
+    assert error.startswith("insdvl evaluate: the model") and error.count("\n") == 1
+
+
+def test_a_row_without_its_library_is_left_out_and_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)  # as if it were not installed
+    approaches.estimator.cache_clear()
+    code, document = evaluate(tmp_path, "--rows", "dnn,oracle")
+    approaches.estimator.cache_clear()
+    assert code == 0
+    assert [row["approach"] for row in document["rows"]] == ["oracle"]
+    assert "onnxruntime" in document["omitted"]["dnn"]
+    assert "Left out: dnn (" in capsys.readouterr().out
 
 
 def test_searched_rows_name_what_was_found(tmp_path: Path) -> None:

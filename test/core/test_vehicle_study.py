@@ -227,13 +227,17 @@ def test_the_numbers_are_means_and_ratios_of_the_runs(
 
 
 def test_what_is_kept_holds_for_the_same_inputs_only(folder: Path, shared: Shared) -> None:
-    recordings, settings = list(shared.recordings.values()), shared.settings
-    first = vehicle.fingerprint(recordings, settings)
-    assert vehicle.fingerprint(vehicle.load_all(folder, settings), settings) == first
+    recordings, settings, models = list(shared.recordings.values()), shared.settings, shared.models
+    first = vehicle.fingerprint(recordings, settings, models)
+    assert vehicle.fingerprint(vehicle.load_all(folder, settings), settings, models) == first
     other_filter = replace(settings, filter=replace(settings.filter, q_timeout=2.0))
-    assert vehicle.fingerprint(recordings, other_filter) != first
     noisier = replace(recordings[0], samples=recordings[0].samples + 1e-9)
-    assert vehicle.fingerprint([noisier, *recordings[1:]], settings) != first
+    for changed in (
+        vehicle.fingerprint(recordings, other_filter, models),
+        vehicle.fingerprint([noisier, *recordings[1:]], settings, models),
+        vehicle.fingerprint(recordings, settings, {}),
+    ):
+        assert changed != first
 
 
 def test_the_tables_have_all_rows(document: dict[str, Any]) -> None:

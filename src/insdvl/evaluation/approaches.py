@@ -88,6 +88,9 @@ ROWS = (
 #: Rows that no filter makes: they follow from the truth, and from the oracle's result.
 FLOORS = (ZERO_VELOCITY, PERFECT_HEADING)
 
+#: Beginning of the row of a model that does not ship; its path follows.
+OWN_MODEL = "model "
+
 #: Samples in the window of the closed form.
 WINDOW = 200
 
@@ -99,8 +102,8 @@ class Approach:
     Attributes:
         name: Of the row, or of the candidate.
         parameters: Of the filter.
-        learner: Row of `LEARNED`, `CLOSED_FORM` or `ORACLE`: who tells the filter its Q; empty
-            where the filter needs nobody.
+        learner: Row of a learned model, `CLOSED_FORM` or `ORACLE`: who tells the filter its Q;
+            empty where the filter needs nobody.
     """
 
     name: str
@@ -216,13 +219,16 @@ def adaptives(setting: Setting, best: tuple[float, float]) -> dict[str, tuple[Ap
     return {BEST_XI: xi, VARIATIONAL: tau}
 
 
+def model_of(row: str) -> str | None:
+    """Name or path of the model of a row; None where the row has none."""
+    return row.removeprefix(OWN_MODEL) if row.startswith(OWN_MODEL) else LEARNED.get(row)
+
+
 def fingerprint(rows: Sequence[str]) -> dict[str, str]:
     """SHA-256 of the models that the rows use, by row."""
-    return {
-        row: load_model(LEARNED[row]).card["sha256"]
-        for row in rows
-        if row in LEARNED and row not in unavailable([row])
-    }
+    missing = unavailable(rows)
+    models = {row: model_of(row) for row in rows if row not in missing}
+    return {row: load_model(name).card["sha256"] for row, name in models.items() if name}
 
 
 @cache
@@ -232,9 +238,10 @@ def estimator(learner: str) -> tuple[Estimator, int]:
     Raises:
         ModelError: Its model cannot be used.
     """
-    if learner == CLOSED_FORM:
+    name = model_of(learner)
+    if name is None:
         return degree_5, WINDOW
-    model = load_model(LEARNED[learner])
+    model = load_model(name)
     return model.variances, model.window
 
 
@@ -242,7 +249,7 @@ def unavailable(rows: Sequence[str]) -> dict[str, str]:
     """Rows that cannot be computed here, and why."""
     reasons = {}
     for row in rows:
-        if row in LEARNED:
+        if model_of(row) is not None:
             try:
                 estimator(row)
             except ModelError as error:

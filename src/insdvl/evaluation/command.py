@@ -7,16 +7,16 @@ from dataclasses import asdict
 from pathlib import Path
 
 from insdvl import parallel
-from insdvl.evaluation import tables
-from insdvl.evaluation.approaches import PRESETS, ROWS, Setting, fingerprint
-from insdvl.evaluation.comparison import Plan, compare
+from insdvl.evaluation import plots, tables
+from insdvl.evaluation.approaches import OWN_MODEL, PRESETS, ROWS, Setting, fingerprint
+from insdvl.evaluation.comparison import MIN_RUNS, Plan, compare
 from insdvl.files import check_writable, json_text, write
 from insdvl.parallel import Store, TaskError
 from insdvl.simulation.noise import SCENARIOS
 from insdvl.simulation.trajectories import AUV
+from insdvl.tuner.models import load_model
 
 ERROR_STATES = ("invariant", "ned")
-MIN_RUNS = 2  # fewer have no interval
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,6 +46,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"which approaches, with commas between (default: all): {', '.join(ROWS)}",
     )
     parser.add_argument(
+        "--model",
+        metavar="FILE",
+        help="one row more: a model of your own, with its card beside it",
+    )
+    parser.add_argument(
         "--runs", type=int, default=100, metavar="N", help="paired runs (default: 100)"
     )
     parser.add_argument(
@@ -66,6 +71,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--json", type=Path, required=True, metavar="FILE", help="where the numbers go"
     )
+    parser.add_argument(
+        "--markdown", type=Path, metavar="FILE", help="where the tables go, which are printed too"
+    )
+    parser.add_argument(
+        "--plot", type=Path, metavar="FILE", help="PNG of the errors over time, of the first rows"
+    )
     parallel.add_arguments(parser)
 
 
@@ -73,7 +84,10 @@ def run(arguments: argparse.Namespace) -> int:
     """Evaluate; the exit code is 2 where the input is refused, and then nothing is written."""
     try:
         plan = _plan(arguments)
-        check_writable(arguments.json, "--json")
+        for option in ("json", "markdown", "plot"):
+            file = getattr(arguments, option)
+            if file is not None:
+                check_writable(file, f"--{option}")
         workers = parallel.workers_of(arguments)
         with parallel.pool(workers) as pool:
             store = Store(
@@ -81,7 +95,12 @@ def run(arguments: argparse.Namespace) -> int:
                 {"plan": asdict(plan), "models": fingerprint(plan.rows)},
             )
             comparison = compare(plan, pool, store)
+        text = tables.comparison(comparison.document)
         write(arguments.json, json_text(comparison.document).encode())
+        if arguments.markdown is not None:
+            write(arguments.markdown, text.encode())
+        if arguments.plot is not None:
+            plots.errors_over_time(arguments.plot, plan.scenario, comparison.series)
         store.clear()
     except TaskError as error:
         print(f"insdvl evaluate: {error}", file=sys.stderr)
@@ -89,7 +108,7 @@ def run(arguments: argparse.Namespace) -> int:
     except (ValueError, OSError) as error:
         print(f"insdvl evaluate: {error}", file=sys.stderr)
         return 2
-    print(tables.comparison(comparison.document))
+    print(text)
     return 0
 
 
@@ -109,13 +128,17 @@ def _plan(arguments: argparse.Namespace) -> Plan:
         raise ValueError(
             f"--duration must be within 10 to {AUV.duration:g} s, got {arguments.duration:g}"
         )
+    rows = tuple(row for row in ROWS if row in rows)
+    if arguments.model is not None:
+        load_model(arguments.model)
+        rows += (f"{OWN_MODEL}{arguments.model}",)
     return Plan(
         scenario=arguments.scenario,
         setting=Setting(arguments.preset, arguments.error_state, arguments.gate),
         runs=arguments.runs,
         tuning_runs=arguments.tuning_runs,
         seed=arguments.seed,
-        rows=tuple(row for row in ROWS if row in rows),
+        rows=rows,
         duration=arguments.duration,
     )
 

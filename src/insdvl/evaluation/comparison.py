@@ -33,6 +33,7 @@ Array = NDArray[np.float64]
 #: A row that fails in more than this share of the runs is left out of the pairs: what it did in the
 #: runs that it survived says little, and it would take those runs from all others.
 MOST_FAILURES = 0.1
+MIN_RUNS = 2  # fewer have no interval
 _BOOTSTRAP = 2003  # key of the random stream
 RATIO_METRICS = ("body_rmse", "srmse")
 NEES = ("velocity", "attitude", "velocity_attitude", "bias", "position")

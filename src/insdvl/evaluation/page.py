@@ -12,7 +12,7 @@ from insdvl.evaluation.tables import interval, table
 
 Documents = Mapping[str, Any]
 
-_CALIBRATED = ("constant", "constant-tableI", "varying", "wide")
+_NO_WALK = "constant-paper-no-walk"
 
 
 @dataclass(frozen=True)
@@ -262,12 +262,9 @@ def _published(documents: Documents) -> str:
     ]
     if "constant-paper" in documents:
         parts.append("![Errors over time, preset paper](results/constant-paper.png)")
-    if "constant-paper-no-walk" in documents:
-        parts.append(
-            "### `constant`, preset `paper-no-walk`\n\n"
-            + tables.errors(documents["constant-paper-no-walk"])
-            + "\n![Errors over time, without bias walks](results/constant-paper-no-walk.png)"
-        )
+    parts.append(_comparison(documents, _NO_WALK, "`constant`, preset `paper-no-walk`"))
+    if _NO_WALK in documents:
+        parts.append(f"![Errors over time, without bias walks](results/{_NO_WALK}.png)")
     return _section(
         "The published table, attempted",
         """

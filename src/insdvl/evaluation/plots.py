@@ -164,8 +164,9 @@ def errors_over_time(path: Path, title: str, series: Mapping[str, Array]) -> Non
     Args:
         path: The PNG file.
         title: First line of the picture.
-        series: (R, K, 4) of up to four rows: over R runs and K seconds the squared error and the
-            expected variance of the body velocity [(m/s)^2], then of the heading [deg^2].
+        series: (R, K, 4) of the rows, of which the first four are drawn: over R runs and K seconds
+            the squared error and the expected variance of the body velocity [(m/s)^2], then of the
+            heading [deg^2].
     """
     figure = Figure(figsize=(11, 6.5), layout="constrained")
     FigureCanvasAgg(figure)

@@ -24,7 +24,7 @@ from insdvl.evaluation.approaches import (
     Setting,
     fingerprint,
 )
-from insdvl.evaluation.comparison import Plan, compare
+from insdvl.evaluation.comparison import MIN_RUNS, Plan, compare
 from insdvl.files import check_writable, json_text, write
 from insdvl.parallel import Pool, Store, TaskError
 from insdvl.simulation.noise import SCENARIOS
@@ -68,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--config", type=Path, metavar="FILE", help=f"YAML of the recordings; {VEHICLE} needs it"
     )
     parser.add_argument("--runs", type=int, default=100, metavar="N", help="(default: 100)")
-    parser.add_argument("--tuning-runs", type=int, default=10, metavar="N", help="(default: 10)")
+    parser.add_argument("--tuning-runs", type=int, default=5, metavar="N", help="(default: 5)")
     parser.add_argument("--seed", type=int, default=1, help="of all parts (default: 1)")
     parallel.add_arguments(parser)
 
@@ -85,8 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
                 stores = [_compute(part, arguments, folder, pool) for part in parts]
             for store in stores:  # kept until now: an interrupted command resumes
                 store.clear()
-        documents = _documents(folder)
-        write(arguments.out / "results.md", page.markdown(documents).encode())
+        write(arguments.out / "results.md", page.markdown(documents(folder)).encode())
     except TaskError as error:
         print(f"insdvl results: {error}", file=sys.stderr)
         return 1
@@ -99,10 +98,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _parts(arguments: argparse.Namespace) -> list[str]:
     """The parts that are asked for, in their order."""
-    if arguments.runs < 2 or arguments.tuning_runs < 2:
-        raise ValueError(
-            f"--runs and --tuning-runs must be >= 2, got {arguments.runs}, {arguments.tuning_runs}"
-        )
+    for option, value in ("--runs", arguments.runs), ("--tuning-runs", arguments.tuning_runs):
+        if value < MIN_RUNS:
+            raise ValueError(f"{option} must be >= {MIN_RUNS}, got {value}")
     if arguments.seed < 0:
         raise ValueError(f"--seed must be >= 0, got {arguments.seed}")
     recorded = arguments.recordings is not None and arguments.config is not None
@@ -119,57 +117,48 @@ def _parts(arguments: argparse.Namespace) -> list[str]:
 
 def _compute(part: str, arguments: argparse.Namespace, folder: Path, pool: Pool) -> Store:
     """Compute a part and write its numbers and pictures; what it keeps is still there."""
-    options = arguments.runs, arguments.tuning_runs, arguments.seed
-    depends_on: dict[str, Any] = {
-        "options": options,
-        "plan": _settled(part),
-        "models": fingerprint(tuple(LEARNED)),
-    }
-    if part == VEHICLE:
-        settings = vehicle.Settings.load(arguments.config)
-        recordings = vehicle.load_all(arguments.recordings, settings)
-        depends_on |= vehicle.fingerprint(recordings, settings)
-    store = Store(folder / f".{part}.work", depends_on)
+    seed, work = arguments.seed, folder / f".{part}.work"
+    models = fingerprint(tuple(LEARNED))
     if part in PLANS:
         plan = replace(
-            PLANS[part],
-            runs=arguments.runs,
-            tuning_runs=arguments.tuning_runs,
-            seed=arguments.seed,
+            PLANS[part], runs=arguments.runs, tuning_runs=arguments.tuning_runs, seed=seed
         )
+        store = Store(work, {"plan": asdict(plan), "models": models})
         compared = compare(plan, pool, store)
         document = compared.document
         drawn = {row: compared.series[row] for row in _DRAWN if row in compared.series}
         plots.errors_over_time(folder / f"{part}.png", part, drawn)
-    elif part == ACCURACY:
-        document = accuracy.study(arguments.seed, pool, store)
-    elif part == WINDOW:
-        document = window.study(_WINDOW_RUNS, arguments.seed, pool, store)
-    else:
+    elif part == VEHICLE:
+        settings = vehicle.Settings.load(arguments.config)
+        recordings = vehicle.load_all(arguments.recordings, settings)
+        learned = {row: load_model(LEARNED[row]) for row in ("hcf paper", "hcf default")}
+        store = Store(work, {"seed": seed, **vehicle.fingerprint(recordings, settings, learned)})
         document = vehicle.study(
             recordings,
             settings,
-            {row: load_model(LEARNED[row]) for row in ("hcf paper", "hcf default")},
+            learned,
             runs=_RECORDING_RUNS,
             tuning_runs=_RECORDING_TUNING_RUNS,
-            seed=arguments.seed,
+            seed=seed,
             pool=pool,
             store=store,
         )
+    else:
+        store = Store(work, {"seed": seed, "models": models})
+        if part == ACCURACY:
+            document = accuracy.study(seed, pool, store)
+        else:
+            document = window.study(_WINDOW_RUNS, seed, pool, store)
     document["environment"] = parallel.environment()
     write(folder / f"{part}.json", json_text(document).encode())
     return store
 
 
-def _settled(part: str) -> dict[str, Any] | None:
-    return asdict(PLANS[part]) if part in PLANS else None
-
-
-def _documents(folder: Path) -> dict[str, Any]:
-    """The parts that have been computed, now or before."""
-    documents = {}
-    for part in PARTS:
-        file = folder / f"{part}.json"
-        if file.exists():
-            documents[part] = json.loads(file.read_text(encoding="utf-8"))
-    return documents
+def documents(folder: Path) -> dict[str, Any]:
+    """The parts of a folder that have been computed, now or before."""
+    files = {part: folder / f"{part}.json" for part in PARTS}
+    return {
+        part: json.loads(file.read_text(encoding="utf-8"))
+        for part, file in files.items()
+        if file.exists()
+    }

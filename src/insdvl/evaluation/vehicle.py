@@ -218,8 +218,10 @@ def stretches(recordings: Sequence[Recording]) -> NDArray[np.int64]:
     return connected_components(np.array(shared), directed=False)[1].astype(np.int64)
 
 
-def fingerprint(recordings: Sequence[Recording], settings: Settings) -> dict[str, Any]:
-    """What the numbers depend on beside seeds, models and sources, for a `Store`."""
+def fingerprint(
+    recordings: Sequence[Recording], settings: Settings, models: Mapping[str, Model]
+) -> dict[str, Any]:
+    """What the numbers depend on beside seeds and sources, for a `Store`."""
     return {
         "recordings": {
             recording.name: hashlib.sha256(pickle.dumps(recording)).hexdigest()
@@ -228,6 +230,7 @@ def fingerprint(recordings: Sequence[Recording], settings: Settings) -> dict[str
         "settings": [
             flatten(group) for group in (settings.filter, settings.tuner, settings.replay)
         ],
+        "models": {row: model.card["sha256"] for row, model in models.items()},
     }
 
 
