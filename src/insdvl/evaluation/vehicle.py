@@ -350,7 +350,9 @@ def all_rows(shared: Shared, task: Run) -> dict[str, Array]:
         told |= {TOLD: true, TOLD_WITH_NOMINAL: (stamps_ns, q + settings.nominal)}
     constants = {HAND_SET: None, **task.constants}
     rows = {}
-    for gate, suffix in ((False, ""), (True, GATE_ON)):
+    # Without injected noise the gate has nothing to refuse.
+    gates = {False: ""} if true is None else {False: "", True: GATE_ON}
+    for gate, suffix in gates.items():
         filters: list[tuple[str, FilterParameters, Told | None]] = [
             (row, settings.told(gate=gate), q) for row, q in told.items()
         ]
