@@ -25,11 +25,14 @@ CONFIG = """
 /**/insdvl_filter:
   ros__parameters:
     dvl: {noise_std: [0.02, 0.02, 0.02]}
+    gate: {enabled: GATE, probability: 0.9}
     process_noise:
       source: SOURCE
       accelerometer_variance: [3.0e-3, 2.0e-3, 1.0e-3]
       gyroscope_variance: [1.0e-8, 2.0e-8, 3.0e-8]
     initial: {mode: topic}
+/**/insdvl_tuner:
+  ros__parameters: {model: paper}
 /**/insdvl_replay:
   ros__parameters:
     imu_topic: /imu
@@ -39,9 +42,9 @@ CONFIG = """
 """
 
 
-def config(folder: Path, source: str) -> Path:
+def config(folder: Path, source: str, *, gate: bool = False) -> Path:
     path = folder / f"{source}.yaml"
-    path.write_text(CONFIG.replace("SOURCE", source))
+    path.write_text(CONFIG.replace("SOURCE", source).replace("GATE", f"{gate}"))
     return path
 
 
@@ -87,28 +90,31 @@ def document(shared: Shared) -> dict[str, Any]:
         )
 
 
-def task(shared: Shared, name: str, limits: vehicle.Limits) -> Run:
-    injected = vehicle.injection(shared.recordings[name], limits, SEED, vehicle.TEST, 1)
-    return Run(name, injected, {})
+@pytest.fixture(scope="module")
+def rows_of_c(shared: Shared) -> dict[str, Any]:
+    """All rows of a noisy recording, and the seed of the noise."""
+    limits = vehicle.INJECTIONS["sensor"]
+    injected = vehicle.injection(shared.recordings["c"], limits, SEED, vehicle.TEST, 1)
+    rows = vehicle.all_rows(shared, Run("c", injected, {}))
+    return {"injection": injected, "seed": injected.seed, "rows": rows}
 
 
+@pytest.mark.parametrize("gate", [False, True])
 @pytest.mark.parametrize(
     ("row", "source"), [("told", "oracle"), (MODEL, "external"), ("hand-set", "constant")]
 )
 def test_a_run_of_the_study_is_that_of_the_replay(
-    folder: Path, shared: Shared, tmp_path: Path, row: str, source: str
+    folder: Path, rows_of_c: dict[str, Any], tmp_path: Path, row: str, source: str, gate: bool
 ) -> None:
-    limits = vehicle.INJECTIONS["sensor"]
-    run = task(shared, "c", limits)
-    assert run.injection is not None
-    noise = ",".join(f"{limit!r}" for triad in limits for limit in triad)
-    arguments = ["replay", str(folder / "c"), "--config", str(config(tmp_path, source))]
-    arguments += ["--inject-noise", noise, "--seed", str(run.injection.seed)]
+    noise = ",".join(f"{limit!r}" for triad in vehicle.INJECTIONS["sensor"] for limit in triad)
+    arguments = ["replay", str(folder / "c"), "--config", str(config(tmp_path, source, gate=gate))]
+    arguments += ["--inject-noise", noise, "--seed", str(rows_of_c["seed"])]
     assert cli.main([*arguments, "--json", str(tmp_path / "c.json")]) == 0
     expected = json.loads((tmp_path / "c.json").read_text())
-    found = dict(zip(METRICS, vehicle.all_rows(shared, run)[row], strict=True))
-    assert found == {name: expected[name] for name in METRICS}
+    found = rows_of_c["rows"][row + (", gate on" if gate else "")]
+    assert dict(zip(METRICS, found, strict=True)) == {name: expected[name] for name in METRICS}
     assert expected["reference_stamps"] > 30
+    assert bool(expected["dvl_rejected"]) == gate
 
 
 def test_a_recording_as_it_is_has_no_injected_noise_to_be_told(
@@ -122,18 +128,18 @@ def test_a_recording_as_it_is_has_no_injected_noise_to_be_told(
     assert list(rows["hand-set"]) == [expected[name] for name in METRICS]
 
 
-def test_the_honest_total_is_the_injected_and_the_hand_set_noise(shared: Shared) -> None:
+def test_the_honest_total_is_the_injected_and_the_hand_set_noise(
+    shared: Shared, rows_of_c: dict[str, Any]
+) -> None:
     settings, recording = shared.settings, shared.recordings["c"]
-    run = task(shared, "c", vehicle.INJECTIONS["sensor"])
-    assert run.injection is not None
-    q, noise = run.injection.draw(recording.stamps_ns)
+    q, noise = rows_of_c["injection"].draw(recording.stamps_ns)
     nominal = [3e-3, 2e-3, 1e-3, 1e-8, 2e-8, 3e-8]
     every = recording.stamps_ns - 10_000_000, q + nominal  # told with each sample
-    result = vehicle.fold(settings, recording, recording.samples + noise, settings.told, every)
-    found = vehicle.all_rows(shared, run)["told with hand-set"][0]
-    assert found == pytest.approx(
-        vehicle.errors_of(result, recording.truth_ns, recording.truth)["body_velocity_rmse"]
-    )
+    samples = recording.samples + noise
+    result = vehicle.fold(settings, recording, samples, settings.told(), every)
+    errors = vehicle.errors_of(result, recording.truth_ns, recording.truth)
+    found = rows_of_c["rows"]["told with hand-set"][0]
+    assert found == pytest.approx(errors["body_velocity_rmse"])
 
 
 def test_recordings_of_one_stretch_are_found(shared: Shared) -> None:

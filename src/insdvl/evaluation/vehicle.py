@@ -9,6 +9,10 @@ of the configuration, the noise that the recording has without them; the learned
 form see the samples only; `hand-set` is the configuration as it is; `best constant` is the best of
 a grid on the other recordings, with other seeds. Recordings of one stretch of the voyage are not
 independent of each other: they are left out together, and drawn together by the bootstrap.
+
+As in the simulations all measurements are used: where the noise has just grown the gate refuses
+good ones, and a row that believes too much is then punished for the gate. The rows `..., gate on`
+have the gate of the configuration.
 """
 
 import hashlib
@@ -35,6 +39,7 @@ from insdvl.frames import CONVENTIONS
 from insdvl.parallel import Pool, Store
 from insdvl.parameters import (
     FilterParameters,
+    ProcessNoiseParameters,
     ReplayParameters,
     TunerParameters,
     flatten,
@@ -71,6 +76,7 @@ ERRORS = tuple(METRICS)[:5]
 
 TOLD, TOLD_WITH_NOMINAL = "told", "told with hand-set"
 CLOSED_FORM, HAND_SET, BEST_CONSTANT = "closed form", "hand-set", "best constant"
+GATE_ON = ", gate on"  # of a row's name
 WINDOW = 200  # samples, of the closed form
 
 TUNING, TEST = 0, 1  # roles of a seed
@@ -109,7 +115,7 @@ class Settings:
     """The sections of a configuration that a replay reads.
 
     Attributes:
-        filter: Its process noise is the hand-set one.
+        filter: Its process noise is the hand-set one; its gate is for the rows with the gate.
         tuner: Its rate and largest gap; the models are those of the study.
         replay: Topics of the recordings.
     """
@@ -131,20 +137,23 @@ class Settings:
             load_section(config, "insdvl_replay", ReplayParameters),
         )
 
-    def constant(self, q: Sequence[float] | None = None) -> FilterParameters:
+    def constant(self, q: Sequence[float] | None = None, *, gate: bool = False) -> FilterParameters:
         """The filter with a constant process noise: hand-set, or variances of the two triads."""
         noise = replace(self.filter.process_noise, source="constant")
         if q is not None:
             noise = replace(
                 noise, accelerometer_variance=(q[0],) * 3, gyroscope_variance=(q[1],) * 3
             )
-        return replace(self.filter, process_noise=noise)
+        return self._with(noise, gate)
 
-    @property
-    def told(self) -> FilterParameters:
+    def told(self, *, gate: bool = False) -> FilterParameters:
         """The filter that is told its process noise."""
-        noise = replace(self.filter.process_noise, source="external")
-        return replace(self.filter, process_noise=noise)
+        return self._with(replace(self.filter.process_noise, source="external"), gate)
+
+    def _with(self, noise: ProcessNoiseParameters, gate: bool) -> FilterParameters:
+        return replace(
+            self.filter, process_noise=noise, gate=replace(self.filter.gate, enabled=gate)
+        )
 
     @property
     def nominal(self) -> Array:
@@ -323,9 +332,12 @@ class Run:
 
 def constant_run(shared: Shared, task: Run) -> dict[str, Array]:
     """The METRICS of each constant."""
-    recording = shared.recordings[task.recording]
+    settings, recording = shared.settings, shared.recordings[task.recording]
     samples, _ = _noisy(recording, task.injection)
-    return _constants(shared, recording, samples, task)
+    return {
+        row: _numbers(recording, fold(settings, recording, samples, settings.constant(q)))
+        for row, q in task.constants.items()
+    }
 
 
 def all_rows(shared: Shared, task: Run) -> dict[str, Array]:
@@ -336,23 +348,19 @@ def all_rows(shared: Shared, task: Run) -> dict[str, Array]:
     if true is not None:
         stamps_ns, q = true
         told |= {TOLD: true, TOLD_WITH_NOMINAL: (stamps_ns, q + settings.nominal)}
-    rows = {
-        row: _numbers(recording, fold(settings, recording, samples, settings.told, process_noise))
-        for row, process_noise in told.items()
-    }
-    hand_set = fold(settings, recording, samples, settings.constant())
-    rows[HAND_SET] = _numbers(recording, hand_set)
-    return rows | _constants(shared, recording, samples, task)
-
-
-def _constants(shared: Shared, recording: Recording, samples: Array, task: Run) -> dict[str, Array]:
-    return {
-        row: _numbers(
-            recording,
-            fold(shared.settings, recording, samples, shared.settings.constant(q)),
-        )
-        for row, q in task.constants.items()
-    }
+    constants = {HAND_SET: None, **task.constants}
+    rows = {}
+    # Without injected noise the gate has nothing to refuse.
+    gates = {False: ""} if true is None else {False: "", True: GATE_ON}
+    for gate, suffix in gates.items():
+        filters: list[tuple[str, FilterParameters, Told | None]] = [
+            (row, settings.told(gate=gate), q) for row, q in told.items()
+        ]
+        filters += [(row, settings.constant(q, gate=gate), None) for row, q in constants.items()]
+        for row, parameters, process_noise in filters:
+            result = fold(settings, recording, samples, parameters, process_noise)
+            rows[row + suffix] = _numbers(recording, result)
+    return rows
 
 
 def _noisy(recording: Recording, injected: Injection | None) -> tuple[Array, Told | None]:
