@@ -492,6 +492,13 @@ class TunerParameters:
     rate: float = parameter(
         1.0, "How often Q is learned, in the time of the stamps.", unit="Hz", above=0.0, high=100.0
     )
+    difference_order: int = parameter(
+        0,
+        "No variance is told above that of differences of this order (with a margin), which leave "
+        "out the vehicle's own fast motion; 0 for no bound.",
+        low=0,
+        high=20,
+    )
     max_gap: float = parameter(
         0.1,
         "A window that spans a longer interval between stamps is not used.",

@@ -47,6 +47,7 @@ from insdvl.parameters import (
 )
 from insdvl.replay import Injection, changes, errors_of, read, recorded_events, truth_of
 from insdvl.tuner.closed_form import degree_5
+from insdvl.tuner.differences import bounded
 from insdvl.tuner.models import Model
 from insdvl.tuner.offline import Estimator, tuned
 
@@ -116,7 +117,7 @@ class Settings:
 
     Attributes:
         filter: Its process noise is the hand-set one; its gate is for the rows with the gate.
-        tuner: Its rate and largest gap; the models are those of the study.
+        tuner: Its rate, largest gap and differences; the models are those of the study.
         replay: Topics of the recordings.
     """
 
@@ -301,12 +302,13 @@ class Shared:
 
 
 def learned(shared: Shared, recording: Recording, samples: Array) -> dict[str, Told]:
-    """What a tuner would tell: with each model, and with the closed form."""
+    """What a tuner would tell: with each model, and with the closed form as it is."""
+    tuner = shared.settings.tuner
     estimators: dict[str, tuple[Estimator, int]] = {
-        row: (model.variances, model.window) for row, model in shared.models.items()
+        row: (bounded(model.variances, tuner.difference_order), model.window)
+        for row, model in shared.models.items()
     }
     estimators[CLOSED_FORM] = degree_5, WINDOW
-    tuner = shared.settings.tuner
     return {
         row: tuned(
             recording.stamps_ns, samples, estimate, window, tuner.rate, round(tuner.max_gap * NS)

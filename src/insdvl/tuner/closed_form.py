@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from scipy.special import softmax
 from scipy.stats import chi2
 
-from insdvl.tuner.detrend import checked, residual_variances
+from insdvl.tuner.detrend import residual_variances
+from insdvl.tuner.differences import difference_variances
 
 Array = NDArray[np.float64]
 
@@ -35,8 +36,7 @@ def linear(windows: Array) -> Array:
 
 def first_differences(windows: Array) -> Array:
     """Half the mean square of first differences."""
-    differences = np.diff(checked(windows, 2), axis=1)
-    return 0.5 * np.mean(differences * differences, axis=1)
+    return difference_variances(windows, 1)
 
 
 def degree_5(windows: Array) -> Array:

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl.events import NS
-from insdvl.parameters import TunerParameters
+from insdvl.parameters import ParameterError, TunerParameters
+from insdvl.tuner.differences import bounded
 from insdvl.tuner.models import load_model
 from insdvl.tuner.windows import CHANNELS, Window, period
 
@@ -50,13 +51,20 @@ class Tuner:
 
         Raises:
             ModelError: The model cannot be used, see `load_model`.
+            ParameterError: Its window is too short for the differences.
         """
         self.enabled = parameters.enabled
         self.model = load_model(parameters.model)
+        if parameters.difference_order >= self.model.window:
+            raise ParameterError(
+                f"parameter 'difference_order' must be less than the {self.model.window} samples "
+                f"of the model's window, got {parameters.difference_order}"
+            )
+        self._estimate = bounded(self.model.variances, parameters.difference_order)
         self._rate = Fraction(parameters.rate) / NS  # periods in a nanosecond, exactly
         self._window = Window(self.model.window, round(parameters.max_gap * NS))
         self._made = {"windows": 0, "too_large": 0}
-        self.model.variances(np.zeros((CHANNELS, self.model.window)))
+        self._estimate(np.zeros((CHANNELS, self.model.window)))
 
     @property
     def counts(self) -> dict[str, int]:
@@ -81,7 +89,7 @@ class Tuner:
         if not self._window.full or not self.enabled:
             return None
         try:
-            variances = self.model.variances(self._window.samples())
+            variances = self._estimate(self._window.samples())
         except ValueError:  # finite samples whose features are not
             self._made["too_large"] += 1
             return None
