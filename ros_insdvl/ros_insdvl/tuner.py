@@ -14,7 +14,7 @@ from std_srvs.srv import SetBool
 
 from insdvl import messages
 from insdvl.frames import NED
-from insdvl.parameters import TunerParameters
+from insdvl.parameters import ParameterError, TunerParameters
 from insdvl.tuner.models import ModelError
 from insdvl.tuner.tuner import TunedNoise, Tuner
 from ros_insdvl.conversions import NOT_MEASURED, flat_covariance
@@ -29,11 +29,12 @@ class TunerNode(InsdvlNode[TunerParameters]):
 
         Raises:
             ModelError: The model cannot be used; it has been logged.
+            ParameterError: A parameter is wrong, or does not go with the model.
         """
         super().__init__("insdvl_tuner", TunerParameters, **options)
         try:
             self._tuner = Tuner(self.parameters)
-        except ModelError as error:
+        except (ModelError, ParameterError) as error:
             self.get_logger().fatal(str(error))
             self.destroy_node()
             raise

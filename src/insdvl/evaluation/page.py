@@ -37,11 +37,15 @@ def _ratio(part: str, reference: str, metric: str, limit: float) -> Target:
     """The upper end of the interval of a paired ratio of the learned `default`."""
 
     def measured(documents: Documents) -> tuple[str, bool] | None:
-        learned = row(documents[part], "hcf default") if part in documents else None
-        if learned is None or reference not in learned["ratio_to"]:
+        document = documents.get(part, {"rows": []})
+        learned, oracle = row(document, "hcf default"), row(document, "oracle")
+        if learned is None or oracle is None or reference not in learned["ratio_to"]:
             return None
         ratio = learned["ratio_to"][reference][metric]
-        return interval(ratio), ratio[2] <= limit
+        text = interval(ratio)
+        if reference != "oracle":
+            text += f" (oracle {interval(oracle['ratio_to'][reference][metric])})"
+        return text, ratio[2] <= limit
 
     scenario = part.removesuffix("-calibrated")
     name = {"body_rmse": "body velocity", "srmse": "SRMSE"}[metric]

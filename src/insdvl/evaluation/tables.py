@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from insdvl.evaluation.approaches import FIRST_CONSTANT, SECOND_CONSTANT
+from insdvl.evaluation.approaches import FIRST_CONSTANT, SECOND_CONSTANT, ZERO_VELOCITY
 
 #: Or and Klein, Table II: SRMSE and SMAE [m/s].
 PUBLISHED = {
@@ -14,6 +14,19 @@ PUBLISHED = {
     "dnn": (1.055, 0.928),
     "hcf paper": (0.980, 0.866),
 }
+
+
+#: The ratios of a table: to what, and of which error.
+_RATIOS = (
+    ("oracle", "body_rmse"),
+    ("oracle", "srmse"),
+    ("best constant", "body_rmse"),
+    ("best constant for SRMSE", "srmse"),
+    ("first constant", "body_rmse"),
+    ("first constant", "srmse"),
+    ("closed form", "body_rmse"),
+)
+_WORDS = {"body_rmse": "body velocity", "srmse": "SRMSE"}
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -64,12 +77,15 @@ def errors(document: Mapping[str, Any]) -> str:
     for row in document["rows"]:
         name = row["approach"]
         cells = [_with_ends(row, metric, 3 if "deg" in metric else 4) for metric in metrics]
+        drift = _with_ends(row, "position_drift_percent", 1)
+        if name == ZERO_VELOCITY:  # says nothing of these
+            cells[3:], drift = ["–", "–"], "–"
         published = PUBLISHED.get(name)
         body.append(
             [
                 _settings(document, name),
                 *cells,
-                _with_ends(row, "position_drift_percent", 1),
+                drift,
                 str(row["failures"]),
                 f"{published[0]:.3f} / {published[1]:.3f}" if published else "",
             ]
@@ -92,18 +108,14 @@ def _settings(document: Mapping[str, Any], name: str) -> str:
 
 def ratios(document: Mapping[str, Any]) -> str:
     """Paired ratios of the mean errors, with 95 % intervals."""
-    references = {label: None for row in document["rows"] for label in row["ratio_to"]}
-    head = ["approach"]
-    for label in references:
-        head += [f"body velocity / {label}", f"SRMSE / {label}"]
+    there = {label for row in document["rows"] for label in row["ratio_to"]}
+    columns = [(label, metric) for label, metric in _RATIOS if label in there]
     body = []
     for row in document["rows"]:
-        cells = [row["approach"]]
-        for label in references:
-            ratio = row["ratio_to"].get(label)
-            cells += [interval(ratio[m] if ratio else None) for m in ("body_rmse", "srmse")]
-        body.append(cells)
-    return table(head, body)
+        ratio = row["ratio_to"]
+        cells = [interval(ratio[label][metric] if ratio else None) for label, metric in columns]
+        body.append([row["approach"], *cells])
+    return table(["approach", *(f"{_WORDS[m]} / {label}" for label, m in columns)], body)
 
 
 def consistency(document: Mapping[str, Any]) -> str:
