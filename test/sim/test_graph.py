@@ -84,6 +84,7 @@ def graph() -> Iterator[Graph]:
             len(made.received["odometry/filtered"]) == 100 * DURATION
             and len(made.received["process_noise"]) == DURATION - 1
             and made.filter.received["process_noise"] == DURATION - 1
+            and stamp_ns(made.received["ground_truth/odometry"][-1].header) == DURATION * NS
         )
     )
     yield made
