@@ -35,18 +35,24 @@ _FEW = (FIRST_CONSTANT, "hcf default", BEST_CONSTANT, CLOSED_FORM, ORACLE)
 #: Rows of the pictures over time.
 _DRAWN = (FIRST_CONSTANT, BEST_CONSTANT, "hcf default", ORACLE)
 
+_FEW_RUNS = 25
+#: Where all rows are alike, fewer runs show it.
+_PAPER_RUNS = {"constant": 100, "constant-tableI": 50, "varying": 100, "wide": 50}
+
 #: The comparisons, by part.
 PLANS: Mapping[str, Plan] = {
     **{f"{name}-calibrated": Plan(name, Setting("calibrated")) for name in SCENARIOS},
-    **{f"{name}-paper": Plan(name, Setting("paper")) for name in SCENARIOS},
-    "constant-paper-no-walk": Plan("constant", Setting("paper-no-walk"), rows=_FEW),
-    "varying-ned": Plan("varying", Setting("calibrated", error_state="ned"), rows=_FEW),
-    "wide-ned": Plan("wide", Setting("calibrated", error_state="ned"), rows=_FEW),
-    "varying-gate": Plan("varying", Setting("calibrated", gate=True), rows=_FEW),
+    **{f"{name}-paper": Plan(name, Setting("paper"), runs=n) for name, n in _PAPER_RUNS.items()},
+    "constant-paper-no-walk": Plan("constant", Setting("paper-no-walk"), runs=_FEW_RUNS, rows=_FEW),
+    "varying-ned": Plan(
+        "varying", Setting("calibrated", error_state="ned"), runs=_FEW_RUNS, rows=_FEW
+    ),
+    "wide-ned": Plan("wide", Setting("calibrated", error_state="ned"), runs=_FEW_RUNS, rows=_FEW),
+    "varying-gate": Plan("varying", Setting("calibrated", gate=True), runs=_FEW_RUNS, rows=_FEW),
 }
 ACCURACY, WINDOW, VEHICLE = "q-accuracy", "window", "vehicle"
 PARTS = (ACCURACY, *PLANS, WINDOW, VEHICLE)
-_WINDOW_RUNS = 30
+_WINDOW_RUNS = 15
 _RECORDING_RUNS, _RECORDING_TUNING_RUNS = 10, 3  # of each recording and injection
 
 
@@ -67,7 +73,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--config", type=Path, metavar="FILE", help=f"YAML of the recordings; {VEHICLE} needs it"
     )
-    parser.add_argument("--runs", type=int, default=100, metavar="N", help="(default: 100)")
+    parser.add_argument(
+        "--runs",
+        type=int,
+        metavar="N",
+        help="of each comparison (default: 100 of the main ones, fewer of the others)",
+    )
     parser.add_argument("--tuning-runs", type=int, default=5, metavar="N", help="(default: 5)")
     parser.add_argument("--seed", type=int, default=1, help="of all parts (default: 1)")
     parallel.add_arguments(parser)
@@ -99,7 +110,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _parts(arguments: argparse.Namespace) -> list[str]:
     """The parts that are asked for, in their order."""
     for option, value in ("--runs", arguments.runs), ("--tuning-runs", arguments.tuning_runs):
-        if value < MIN_RUNS:
+        if value is not None and value < MIN_RUNS:
             raise ValueError(f"{option} must be >= {MIN_RUNS}, got {value}")
     if arguments.seed < 0:
         raise ValueError(f"--seed must be >= 0, got {arguments.seed}")
@@ -121,7 +132,10 @@ def _compute(part: str, arguments: argparse.Namespace, folder: Path, pool: Pool)
     models = fingerprint(tuple(LEARNED))
     if part in PLANS:
         plan = replace(
-            PLANS[part], runs=arguments.runs, tuning_runs=arguments.tuning_runs, seed=seed
+            PLANS[part],
+            runs=arguments.runs or PLANS[part].runs,
+            tuning_runs=arguments.tuning_runs,
+            seed=seed,
         )
         store = Store(work, {"plan": asdict(plan), "models": models})
         compared = compare(plan, pool, store)
