@@ -384,7 +384,6 @@ def _error_state_and_gate(documents: Documents) -> str:
     parts = []
     for part, title in (
         ("varying-ned", "`varying`, error state `ned`"),
-        ("wide-ned", "`wide`, error state `ned`"),
         ("varying-gate", "`varying`, invariant, with the chi-square gate (0.999)"),
     ):
         if part in documents:

@@ -35,7 +35,7 @@ _FEW = (FIRST_CONSTANT, "hcf default", BEST_CONSTANT, CLOSED_FORM, ORACLE)
 #: Rows of the pictures over time.
 _DRAWN = (FIRST_CONSTANT, BEST_CONSTANT, "hcf default", ORACLE)
 
-_FEW_RUNS = 25
+_FEW_RUNS = 15
 #: Where all rows are alike, fewer runs show it.
 _PAPER_RUNS = {"constant": 100, "constant-tableI": 25, "varying": 50, "wide": 25}
 
@@ -47,12 +47,11 @@ PLANS: Mapping[str, Plan] = {
     "varying-ned": Plan(
         "varying", Setting("calibrated", error_state="ned"), runs=_FEW_RUNS, rows=_FEW
     ),
-    "wide-ned": Plan("wide", Setting("calibrated", error_state="ned"), runs=_FEW_RUNS, rows=_FEW),
     "varying-gate": Plan("varying", Setting("calibrated", gate=True), runs=_FEW_RUNS, rows=_FEW),
 }
 ACCURACY, WINDOW, VEHICLE = "q-accuracy", "window", "vehicle"
 PARTS = (ACCURACY, *PLANS, WINDOW, VEHICLE)
-_WINDOW_RUNS = 15
+_WINDOW_RUNS = 10
 _RECORDING_RUNS, _RECORDING_TUNING_RUNS = 10, 3  # of each recording and injection
 
 
