@@ -5,11 +5,8 @@ recorded order, and fold into the state that the node reaches: the same to the b
 """
 
 import argparse
-import json
 import math
-import os
 import sys
-import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -30,6 +27,7 @@ from insdvl.evaluation.metrics import (
     scores,
 )
 from insdvl.events import NS, Event, Imu
+from insdvl.files import check_writable, json_text, write
 from insdvl.fold import Fold, FoldResult
 from insdvl.frames import CONVENTIONS, NED
 from insdvl.inputs import Q_TOPICS, Inputs
@@ -432,26 +430,6 @@ def _firsts(recording: Sequence[Raw]) -> list[Raw]:
     return list({raw.topic: raw for raw in reversed(recording)}.values())
 
 
-def write_json(path: Path, document: dict[str, Any]) -> None:
-    """Write a document; the file is complete or is not there.
-
-    Raises:
-        OSError: It cannot be written.
-    """
-    text = json.dumps(document, indent=2, allow_nan=False) + "\n"
-    with tempfile.NamedTemporaryFile(
-        "w", dir=path.parent, prefix=f".{path.name}.", delete=False
-    ) as file:
-        try:
-            file.write(text)
-            file.flush()
-            os.chmod(file.name, 0o644)
-            os.replace(file.name, path)
-        except BaseException:
-            os.unlink(file.name)
-            raise
-
-
 # ---------------------------------------------------------------- command
 
 
@@ -522,25 +500,17 @@ def _replay(arguments: argparse.Namespace) -> None:
         "parameters": {"insdvl_filter": flatten(filter_), "insdvl_tuner": flatten(tuner)},
     }
     if arguments.out is None:
-        write_json(arguments.json, document)
+        write(arguments.json, json_text(document).encode())
     else:
         with BagWriter(arguments.out) as bag:
             write_bag(bag, recording, replayed, filter_)
-            write_json(arguments.json, document)
+            write(arguments.json, json_text(document).encode())
     _print_table(document)
 
 
 def _check_places(arguments: argparse.Namespace) -> None:
     """What takes long comes first: whether the results can be written is tried before it."""
-    if not arguments.json.parent.is_dir():
-        raise ValueError(f"--json {arguments.json}: {arguments.json.parent} is no folder")
-    if arguments.json.is_dir():
-        raise ValueError(f"--json {arguments.json}: it is a folder")
-    try:
-        with tempfile.TemporaryFile(dir=arguments.json.parent):
-            pass
-    except OSError as error:
-        raise ValueError(f"--json {arguments.json}: {error.strerror or error}") from error
+    check_writable(arguments.json, "--json")
     if arguments.out is not None and arguments.out.exists():
         raise BagError(f"--out {arguments.out} exists already and is not overwritten")
 
