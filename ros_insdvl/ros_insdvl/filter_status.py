@@ -11,6 +11,7 @@ from insdvl.inputs import Q_TOPICS, Inputs
 from insdvl.odometry import Odometry
 from insdvl.parameters import FilterParameters
 from insdvl.state import NEVER
+from insdvl.state_file import StateFile
 from ros_insdvl.diagnostics import ERROR, OF_FRAMES, OF_TIME, RECENT, SILENT, WARN, Status, View
 
 #: Stamps and clock that differ by more than this are not of one time: no latency is told.
@@ -39,12 +40,20 @@ class FilterWatch:
         parameters: Of the filter.
         inputs: Of the filter.
         fold: Of the filter.
+        state_file: Where its state is kept, None for nowhere.
     """
 
-    def __init__(self, parameters: FilterParameters, inputs: Inputs, fold: Fold) -> None:
+    def __init__(
+        self,
+        parameters: FilterParameters,
+        inputs: Inputs,
+        fold: Fold,
+        state_file: StateFile | None = None,
+    ) -> None:
         self._parameters = parameters
         self._inputs = inputs
         self._fold = fold
+        self._state_file = state_file
         self._updates: Counter[str] = Counter()
         self._jump: TimeJump | None = None  # the last one
         self.reset()
@@ -105,6 +114,7 @@ class FilterWatch:
             self._time(view),
             self._frames(view),
             self._odometry(view),
+            self._kept(),
         ]
 
     @property
@@ -360,6 +370,34 @@ class FilterWatch:
                 f"odometry is published {p50 / NS:.1f} s after its stamp: the machine or the "
                 "network is too slow, or two clocks differ",
             )
+
+    def _kept(self) -> Status:
+        status = Status("state file", "off: the parameter state_file is empty")
+        file = self._state_file
+        if file is None:
+            return status
+        status.summary = "not yet written"
+        if file.stamp_ns is not None:
+            status.summary = f"has the state at stamp {file.stamp_ns / NS:.3f} s"
+        if file.error is not None:
+            status.complain(
+                WARN,
+                "writing",
+                f"the state cannot be written to {file.path}: {file.error}; free the disk or "
+                "correct the folder, it is tried again; a filter that is started now does not go "
+                "on from here",
+            )
+        if file.unused is not None:
+            status.complain(
+                WARN,
+                "unused",
+                f"{file.path} was not used, {file.unused}: tell the filter where it is, if it "
+                "cannot know",
+            )
+        status.values["state file"] = file.path
+        status.values["state file writes"] = file.writes
+        status.values["state file failures"] = file.failures
+        return status
 
     @property
     def _velocity_sigma(self) -> float:

@@ -486,6 +486,18 @@ class FilterParameters:
         unit="s",
         above=0.0,
     )
+    state_file: str = parameter(
+        "",
+        "File in which the node keeps its state; at its start it goes on from there if the first "
+        "IMU stamp is at most jump_limit later. Empty for none; every filter needs its own.",
+    )
+    state_period: float = parameter(
+        1.0,
+        "How often state_file is written, in the time of the stamps.",
+        unit="s",
+        low=0.01,
+        high=3600.0,
+    )
     imu: ImuParameters = field(default_factory=ImuParameters)
     dvl: DvlParameters = field(default_factory=DvlParameters)
     gate: GateParameters = field(default_factory=GateParameters)
