@@ -19,7 +19,6 @@ import io
 import itertools
 import json
 import logging
-import os
 import pickle
 import platform
 import re
