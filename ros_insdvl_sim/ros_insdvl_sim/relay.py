@@ -15,7 +15,8 @@ from typing import Any
 from insdvl import bags
 from insdvl.faults.link import links
 from insdvl.parameters import ParameterError, RelayParameters
-from ros_insdvl.node import Health, InsdvlNode, latched_qos, run
+from ros_insdvl.diagnostics import Status, View
+from ros_insdvl.node import InsdvlNode, latched_qos, run
 from ros_insdvl_sim.replay import TYPES
 
 #: Type of each topic that can be sent on.
@@ -90,14 +91,16 @@ class Relay(InsdvlNode[RelayParameters]):
                 self._changed.wait(wait)
         return None
 
-    def health(self) -> Health:
+    def causes(self, view: View) -> list[Status]:
         """What was lost and doubled, and how much is under way."""
-        health = Health()
+        lost, doubled = self.lost.total(), self.doubled.total()
+        status = Status("relay", f"{lost} messages lost, {doubled} doubled")
         for topic in self.parameters.topics:
-            health.values[f"lost {topic}"] = self.lost[topic]
-            health.values[f"doubled {topic}"] = self.doubled[topic]
-        health.values["under way"] = len(self._under_way)
-        return health
+            status.values[f"lost {topic}"] = self.lost[topic]
+            status.values[f"doubled {topic}"] = self.doubled[topic]
+            view.show(status, self.parameters.prefix + topic, topic)
+        status.values["under way"] = len(self._under_way)
+        return [status]
 
     def destroy_node(self) -> None:
         """Stop sending, then take the node down; what is under way is lost."""

@@ -119,13 +119,19 @@ def refused(reason: str, *topics: str) -> Check:
 
 
 def nothing_refused() -> Check:
-    """No message is refused."""
+    """No message is refused, or all that were are recovered."""
 
     def judge(pairs: Pairs) -> tuple[str, bool]:
         names = sorted({name for pair in pairs for name in pair.flight.refused})
-        return "refused: " + (", ".join(names) or "nothing"), not names
+        recovered = [pair.flight.counts.get("recovered", 0) for pair in pairs]
+        kept = all(
+            sum(pair.flight.refused.values()) == count
+            for pair, count in zip(pairs, recovered, strict=True)
+        )
+        text = "refused: " + (", ".join(names) or "nothing")
+        return (f"{text}, all recovered" if names and kept else text), kept
 
-    return Check("no message refused", judge)
+    return Check("no message refused for good", judge)
 
 
 def update_reason(reason: str, share: float = 1.0, *, topic: str = "dvl/velocity") -> Check:

@@ -409,7 +409,7 @@ def _time_rows() -> list[Row]:
                 "Time",
                 f"clock set {_way(step)} by {abs(step):g} s; jump_action reset",
                 changes.clock_step(BEGIN, step),
-                (counter("time_jumps", 1), covered(), recovers(30.0), rejoins()),
+                (nothing_refused(), counter("time_jumps", 1), covered(), recovers(30.0), rejoins()),
                 end=BEGIN,
                 parameters=LEVELLING,
             )
@@ -440,7 +440,7 @@ def _time_rows() -> list[Row]:
             "Time",
             "a recording that is played again from its beginning",
             changes.played_again(100.0),
-            (counter("time_jumps", 1), covered(), recovers(30.0), rejoins()),
+            (nothing_refused(), counter("time_jumps", 1), covered(), recovers(30.0), rejoins()),
             begin=100.0,
             end=100.0,
             parameters=LEVELLING,
