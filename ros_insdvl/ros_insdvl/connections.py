@@ -17,6 +17,8 @@ from ros_insdvl.diagnostics import ERROR, WARN, Status
 
 #: A process that was killed stays in the graph until its lease is over: Fast DDS' is 20 s.
 LEASE = 20.0
+#: Stands for the name of a node that the graph does not know.
+UNKNOWN = "of an unknown node"
 
 
 class Connections:
@@ -59,7 +61,7 @@ class Connections:
             publishers, subscriptions = self._endpoints(topic)
             status.values[f"subscriptions {topic}"] = len(subscriptions)
             self._tell_mismatches(status, topic, publisher, publishers, subscriptions)
-            rivals = sorted(_name(other) for other in publishers if _name(other) != self._name)
+            rivals = sorted({*map(_name, publishers)} - {self._name, UNKNOWN})
             if rivals:
                 status.complain(
                     ERROR,
@@ -152,6 +154,9 @@ def _mismatch(offered: QoSProfile, asked: QoSProfile) -> str:
 
 
 def _name(endpoint: TopicEndpointInfo) -> str:
+    """Full name of an endpoint's node; the graph may learn it later than the endpoint."""
+    if endpoint.node_name == "_NODE_NAME_UNKNOWN_":
+        return UNKNOWN
     return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
 
 

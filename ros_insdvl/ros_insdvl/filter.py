@@ -19,7 +19,7 @@ from std_srvs.srv import Trigger
 from insdvl import inputs
 from insdvl.events import NS, Dvl, ProcessNoise
 from insdvl.events import Imu as ImuSample
-from insdvl.fold import AppliedUpdate, Fold
+from insdvl.fold import AppliedUpdate, Fold, TimeJump
 from insdvl.frames import CONVENTIONS
 from insdvl.inputs import Q_TOPICS, Inputs
 from insdvl.odometry import Odometry as FilterOdometry
@@ -56,7 +56,7 @@ def compile_kernels(parameters: FilterParameters) -> None:
     for k in range(1, 5):
         fold.add(ImuSample(k * step, np.array([0.0, 0.0, -9.8]), np.zeros(3)))
     fold.add(ProcessNoise(2 * step, np.eye(3), np.eye(3)))
-    fold.add(Dvl(3 * step, np.zeros(3)))
+    fold.add(Dvl(3 * step, np.full(3, 0.01)))
     fold.take()
 
 
@@ -123,6 +123,8 @@ class FilterNode(InsdvlNode[FilterParameters]):
         for output in self._fold.take():
             if isinstance(output, AppliedUpdate):
                 self._publish_update(output)
+            elif isinstance(output, TimeJump):
+                self._follow(output)
             else:
                 self._publish_state(output)
 
@@ -138,9 +140,23 @@ class FilterNode(InsdvlNode[FilterParameters]):
             fill_bias(self._bias_message, biases(self._fold.filter, state))
             self._bias.send(self._bias_message)
 
+    def _follow(self, jump: TimeJump) -> None:
+        """The fold has begun again in another time; so does what is kept here per time."""
+        self.get_logger().warning(
+            f"time jump from {jump.from_ns / NS:.3f} to {jump.to_ns / NS:.3f} s: "
+            "the filter starts again"
+        )
+        self._begin_time()
+
+    def _begin_time(self) -> None:
+        self._bias_second = None
+        self._watch.reset()
+        self._inputs.reset()
+        self._listen()
+
     def _publish_update(self, update: AppliedUpdate) -> None:
         report = update.report
-        if report.reason == "not_initialised":
+        if not np.isfinite(report.nis):  # nothing was predicted to compare it with
             self.reject("dvl", report.reason, f"{report.reason}: stamp {update.stamp_ns} ns")
             return
         self._watch.updated(update)
@@ -157,10 +173,7 @@ class FilterNode(InsdvlNode[FilterParameters]):
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._fold.reset()
-        self._bias_second = None
-        self._watch.reset()
-        self._inputs.reset()
-        self._listen()
+        self._begin_time()
         self.get_logger().info("reset: the filter is uninitialised")
         response.success = True
         response.message = f"uninitialised; initial.mode is {self.parameters.initial.mode}"

@@ -11,11 +11,13 @@ from typing import Any, Generic, TypeVar
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidHandle, InvalidParameterTypeException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import (
     DurabilityPolicy,
     HistoryPolicy,
@@ -236,6 +238,14 @@ class InsdvlNode(Node, Generic[_Group]):
         if self.rejected[key] == 1:
             self.get_logger().warning(f"{topic} rejected, {detail} (further ones: /diagnostics)")
 
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """Refuse a change by the parameter's name; rclpy forgets the name of an unknown one."""
+        for parameter in parameter_list:
+            if not self.has_parameter(parameter.name):
+                reason = f"unknown parameter '{parameter.name}'"
+                return SetParametersResult(successful=False, reason=reason)
+        return super().set_parameters_atomically(parameter_list)
+
     def fail(self, error: Exception) -> None:
         """Count what a callback raised and nobody expected; the first of each is logged whole."""
         place = traceback.extract_tb(error.__traceback__)[-1]
@@ -359,9 +369,9 @@ def run(factory: Callable[[], InsdvlNode[Any]]) -> int:
 def _spin(factory: Callable[[], InsdvlNode[Any]], nodes: list[InsdvlNode[Any]]) -> int:
     """As `run`, which takes down the node that is put into ``nodes``."""
     try:
-        rclpy.init()
+        _init()
     except RuntimeError as error:  # what rcl's errors are derived from
-        print(f"cannot read the ROS arguments: {error}", file=sys.stderr)
+        print(f"cannot start ROS: {error}", file=sys.stderr)
         return 2
     try:
         node = factory()
@@ -380,6 +390,18 @@ def _spin(factory: Callable[[], InsdvlNode[Any]], nodes: list[InsdvlNode[Any]]) 
         if rclpy.ok():
             raise
         return 0  # interrupted while the node was made: the middleware is gone
+
+
+def _init() -> None:
+    """Start ROS, without log files where their folder cannot be written."""
+    try:
+        rclpy.init()
+    except RuntimeError as error:
+        if "logging" not in str(error):
+            raise
+        rclpy.try_shutdown()
+        rclpy.init(args=[*sys.argv, "--ros-args", "--disable-external-lib-logs"])
+        print(f"no log file, the log goes to the terminal only: {error}", file=sys.stderr)
 
 
 def _turn(executor: SingleThreadedExecutor, node: InsdvlNode[Any]) -> None:

@@ -93,11 +93,13 @@ class Relay(InsdvlNode[RelayParameters]):
 
     def causes(self, view: View) -> list[Status]:
         """What was lost and doubled, and how much is under way."""
-        status = Status("network", f"{len(self._under_way)} messages are under way")
+        lost, doubled = self.lost.total(), self.doubled.total()
+        status = Status("relay", f"{lost} messages lost, {doubled} doubled")
         for topic in self.parameters.topics:
             status.values[f"lost {topic}"] = self.lost[topic]
             status.values[f"doubled {topic}"] = self.doubled[topic]
-        view.show(status, *self.received, *self.outputs)
+            view.show(status, self.parameters.prefix + topic, topic)
+        status.values["under way"] = len(self._under_way)
         return [status]
 
     def destroy_node(self) -> None:

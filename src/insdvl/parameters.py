@@ -223,6 +223,9 @@ class ImuParameters:
     lever_arm: tuple[float, ...] = parameter(
         (0.0, 0.0, 0.0), "Position of the IMU in base_link.", unit="m", length=3
     )
+    frame_id: str = parameter(
+        "", "A sample of any other frame_id is refused as 'wrong_frame'; empty for any."
+    )
     max_gap: float = parameter(
         0.1,
         "An interval between IMU stamps longer than this is a gap: it is counted, bridged with "
@@ -242,6 +245,9 @@ class ImuParameters:
 class DvlParameters:
     """The real DVL and the error that is modelled of it."""
 
+    frame_id: str = parameter(
+        "", "A measurement of any other frame_id is refused as 'wrong_frame'; empty for any."
+    )
     mount: tuple[float, ...] = parameter(
         (0.0, 0.0, 0.0),
         "Rotation from DVL axes to base_link axes, as roll, pitch, yaw of the DVL in base_link.",
@@ -460,6 +466,20 @@ class FilterParameters:
         low=0.0,
         high=60.0,
     )
+    jump_limit: float = parameter(
+        30.0,
+        "An IMU stamp that is ahead of the newest by more than this, or older than max_delay, is "
+        "of another time; ten such samples in a row are a time jump.",
+        unit="s",
+        low=1.0,
+        high=3600.0,
+    )
+    jump_action: str = parameter(
+        "reset",
+        "At a time jump the filter starts again in the new time; or everything stays refused until "
+        "stamps of the old time come again or ~/reset is called.",
+        choices=("reset", "hold"),
+    )
     q_timeout: float = parameter(
         5.0,
         "A Q from a topic older than this (in stamps) falls back to the nominal.",
@@ -479,6 +499,12 @@ class FilterParameters:
                 f"parameter 'output_delay' must be at most max_delay ({self.max_delay:g} s), "
                 f"got {self.output_delay!r}"
             )
+        for name, value in (("max_delay", self.max_delay), ("imu.max_gap", self.imu.max_gap)):
+            if self.jump_limit < value:
+                raise ParameterError(
+                    f"parameter 'jump_limit' must be at least {name} ({value:g} s), "
+                    f"got {self.jump_limit!r}"
+                )
 
 
 @dataclass(frozen=True)

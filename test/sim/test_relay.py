@@ -224,7 +224,7 @@ def test_diagnostics_tell_what_was_lost_and_doubled(graph: Any) -> None:
 
     def keep(message: DiagnosticArray) -> None:
         for status in message.status:
-            if status.name == "/auv/insdvl_relay: network":
+            if status.name == "/auv/insdvl_relay: relay":
                 told.update({item.key: item.value for item in status.values})
 
     g.peer.create_subscription(DiagnosticArray, "/diagnostics", keep, RELIABLE)

@@ -95,22 +95,21 @@ def same_bits() -> Check:
     return Check("output equal to the bit to that without the fault", judge)
 
 
-def refused(topic: str, reason: str, *, but: int = 0) -> Check:
-    """Every message that the fault touched is refused for this reason.
+def refused(reason: str, *topics: str) -> Check:
+    """Every message that the fault touched is refused for this reason, and no other message is.
 
     Args:
-        topic: Where.
         reason: The reason.
-        but: So many of each seed are not.
+        topics: That the fault touches.
     """
+    keys = [f"{topic}: {reason}" for topic in topics]
 
     def judge(pairs: Pairs) -> tuple[str, bool]:
-        counts = [pair.flight.refused.get(f"{topic}: {reason}", 0) for pair in pairs]
-        touched = [pair.flight.faulted.get(topic, 0) - but for pair in pairs]
-        others = Counter[str]()
+        counts = [sum(pair.flight.refused.get(key, 0) for key in keys) for pair in pairs]
+        touched = [sum(pair.flight.faulted.get(topic, 0) for topic in topics) for pair in pairs]
+        others: Counter[str] = Counter()
         for pair in pairs:
-            others += Counter(pair.flight.refused)
-        del others[f"{topic}: {reason}"]
+            others.update({k: n for k, n in pair.flight.refused.items() if k not in keys})
         text = f"`{reason}` {_range(counts, 'd')} of {_range(touched, 'd')}"
         if others:
             text += ", also " + ", ".join(f"{name} {n}" for name, n in sorted(others.items()))
@@ -120,13 +119,19 @@ def refused(topic: str, reason: str, *, but: int = 0) -> Check:
 
 
 def nothing_refused() -> Check:
-    """No message is refused."""
+    """No message is refused, or all that were are recovered."""
 
     def judge(pairs: Pairs) -> tuple[str, bool]:
         names = sorted({name for pair in pairs for name in pair.flight.refused})
-        return "refused: " + (", ".join(names) or "nothing"), not names
+        recovered = [pair.flight.counts.get("recovered", 0) for pair in pairs]
+        kept = all(
+            sum(pair.flight.refused.values()) == count
+            for pair, count in zip(pairs, recovered, strict=True)
+        )
+        text = "refused: " + (", ".join(names) or "nothing")
+        return (f"{text}, all recovered" if names and kept else text), kept
 
-    return Check("no message refused", judge)
+    return Check("no message refused for good", judge)
 
 
 def update_reason(reason: str, share: float = 1.0, *, topic: str = "dvl/velocity") -> Check:

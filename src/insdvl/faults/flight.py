@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from insdvl import messages
 from insdvl.events import NS
 from insdvl.faults.stream import DVL, IMU, Sensors, Stream
-from insdvl.fold import AppliedUpdate, Fold
+from insdvl.fold import AppliedUpdate, Fold, TimeJump
 from insdvl.frames import ENU, rpy_from_rotation
 from insdvl.inputs import Inputs
 from insdvl.messages import RejectedMessage
@@ -116,6 +116,8 @@ def fly(stream: Stream, parameters: FilterParameters) -> Flight:
             if isinstance(output, AppliedUpdate):
                 reason = "" if output.report.accepted else output.report.reason
                 out.updates.append((time_ns, output.stamp_ns, reason))
+            elif isinstance(output, TimeJump):
+                inputs.reset()
             else:
                 out.add(output, time_ns, fold)
     return out.flight(parameters, dict(refused), fold.counts)

@@ -131,18 +131,20 @@ def stream_of(sensors: Sensors, seed: int, duration: float) -> Stream:
         imu=ImuModel(rate=sensors.rate),
         start_ns=sensors.start_ns,
     )
-    arrivals = [*_imu(mission), *_dvl(mission), *_process_noise(mission)]
+    arrivals = [*imu_arrivals(mission), *dvl_arrivals(mission), *_process_noise(mission)]
     arrivals.sort(key=lambda arrival: arrival.time_ns)
     return Stream(tuple(arrivals), mission, (Epoch(sensors.start_ns),))
 
 
-def _imu(mission: Mission) -> Iterator[Arrival]:
+def imu_arrivals(mission: Mission) -> Iterator[Arrival]:
+    """The IMU's messages, each at its stamp."""
     rows = (mission.stamps_ns.tolist(), mission.f_b @ ENU.body, mission.w_ib_b @ ENU.body)
     for stamp_ns, f, w in zip(*rows, strict=True):
         yield Arrival(stamp_ns, IMU, bags.imu_message(stamp_ns, "imu_link", f, w))
 
 
-def _dvl(mission: Mission) -> Iterator[Arrival]:
+def dvl_arrivals(mission: Mission) -> Iterator[Arrival]:
+    """The DVL's messages, each at its stamp."""
     for stamp_ns, v in zip(mission.dvl_stamps_ns.tolist(), mission.v_d @ ENU.body, strict=True):
         yield Arrival(stamp_ns, DVL, bags.twist_message(stamp_ns, "dvl_link", v))
 
