@@ -199,10 +199,13 @@ class InsdvlNode(Node, Generic[_Group]):
         topic: str,
         callback: Callable[[Any], None],
         qos: QoSProfile | None = None,
+        *,
+        raw: bool = False,
     ) -> None:
         """A counted subscription; its quality of service is `sensor_qos` unless given.
 
-        A `RejectedMessage` from the callback is counted by its reason.
+        A `RejectedMessage` from the callback is counted by its reason. With ``raw`` the callback
+        takes the message's bytes.
         """
         self.received.setdefault(topic, 0)
 
@@ -215,7 +218,13 @@ class InsdvlNode(Node, Generic[_Group]):
                 self.reject(topic, rejection.reason, str(rejection))
 
         self.inputs[topic] = subscribe(
-            self, message_type, topic, handle, qos or sensor_qos(), overrides=_overridable()
+            self,
+            message_type,
+            topic,
+            handle,
+            qos or sensor_qos(),
+            raw=raw,
+            overrides=_overridable(),
         )
 
     def ignore(self, topic: str) -> None:

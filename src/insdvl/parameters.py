@@ -747,6 +747,43 @@ class SimulatorParameters:
     dvl: SimulatedDvlParameters = field(default_factory=SimulatedDvlParameters)
 
 
+@dataclass(frozen=True)
+class RelayParameters:
+    """Parameters of the relay, a link that loses, delays, reorders and doubles messages."""
+
+    topics: tuple[str, ...] = parameter(
+        ("imu/data_raw", "dvl/velocity"),
+        "What is sent on: topics that the filter takes, or the simulator's truth.",
+    )
+    prefix: str = parameter(
+        "sent/", "Each topic is taken from this and its name, and sent on by its name alone."
+    )
+    loss: float = parameter(0.0, "Probability that a message is lost.", low=0.0, high=1.0)
+    duplication: float = parameter(
+        0.0, "Probability that a message that is not lost arrives twice.", low=0.0, high=1.0
+    )
+    delay: float = parameter(
+        0.0, "Time that every message takes at least, of the wall.", unit="s", low=0.0, high=60.0
+    )
+    jitter: float = parameter(
+        0.0,
+        "Largest further delay; each copy of a message has one of its own, evenly distributed, so "
+        "messages that are closer than that overtake each other.",
+        unit="s",
+        low=0.0,
+        high=60.0,
+    )
+    seed: int = parameter(
+        1, "Of all that is random: it decides what becomes of a topic's n-th message.", low=0
+    )
+
+    def __post_init__(self) -> None:
+        if not self.prefix:
+            raise ParameterError(
+                "parameter 'prefix' must not be empty: the relay would hear itself"
+            )
+
+
 #: Sections of a YAML file, and the group that each one builds.
 SECTIONS: Mapping[str, type[Any]] = MappingProxyType(
     {
@@ -754,6 +791,7 @@ SECTIONS: Mapping[str, type[Any]] = MappingProxyType(
         "insdvl_tuner": TunerParameters,
         "insdvl_replay": ReplayParameters,
         "insdvl_simulator": SimulatorParameters,
+        "insdvl_relay": RelayParameters,
     }
 )
 
