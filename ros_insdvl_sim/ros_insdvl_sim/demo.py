@@ -335,7 +335,7 @@ class Listener:
     def ready(self) -> bool:
         """Whether all consumers are in the graph and publish their diagnostics."""
         nodes = {"/insdvl_tuner", *(f"{name}/insdvl_filter" for name in FILTERS)}
-        return nodes <= self.monitor.statuses.keys()
+        return nodes <= self.monitor.values.keys()
 
     def counts(self, sent: Mapping[str, int]) -> list[Count]:
         """Messages sent and received.
@@ -343,14 +343,14 @@ class Listener:
         Args:
             sent: By the simulator, per topic.
         """
-        statuses = self.monitor.statuses
+        values = self.monitor.values
         counts = []
 
         def add(consumer: str, topic: str, sent: int, received: int) -> None:
             counts.append(Count(consumer, topic, sent, received))
 
         def told(node: str, key: str) -> int:
-            return int(statuses.get(node, {}).get(key, 0))
+            return int(values.get(node, {}).get(key, 0))
 
         q_sent = told("/insdvl_tuner", "sent process_noise")
         imu, dvl = "imu/data_raw", "dvl/velocity"

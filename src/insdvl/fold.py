@@ -6,19 +6,22 @@ arrives late changes the states from its sample on; they are folded again from t
 all orders of arrival within `max_delay` give the same bits.
 
 An event between two samples cuts the sample that spans it, so it waits for that sample.
+
+What is of another time (a clock that was set, a recording that begins again) is refused but kept a
+while as a suspect. When the samples of that time come one after the other, and none of the present
+time in between, the fold begins again with them, or holds (see docs/filter.md, Time).
 """
 
 import bisect
-from collections import Counter
-from collections.abc import Sequence
+from collections import Counter, deque
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from math import isfinite
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl.events import NS, Dvl, Event, Imu, Initial, Origin, ProcessNoise
+from insdvl.events import NS, Dvl, Event, Imu, Initial, Kind, Origin, ProcessNoise, refusal
 from insdvl.filter import Filter, UpdateReport
 from insdvl.kernels import kernel
 from insdvl.odometry import Odometry, odometry
@@ -31,12 +34,45 @@ Stamps = NDArray[np.int64]
 Records = NDArray[np.void]
 
 
+#: So many samples of another time in a row are a time jump.
+JUMP_SAMPLES = 10
+#: So many samples behind a gap longer than max_delay are believed; one alone may be a wrong stamp.
+GAP_SAMPLES = 2
+#: Samples of one run are no farther apart than this, or imu.max_gap where that is longer.
+RUN_GAP_NS = NS
+#: Most events that are kept as suspects, and of each kind before the first sample.
+MAX_SUSPECTS = 1000
+MAX_WAITING = 1000
+
+
 @dataclass(frozen=True, slots=True)
 class AppliedUpdate:
     """A DVL measurement and what the filter did with it."""
 
     stamp_ns: int
     report: UpdateReport
+
+
+@dataclass(frozen=True, slots=True)
+class TimeJump:
+    """The samples went over to another time.
+
+    Attributes:
+        from_ns: Newest stamp of the old time.
+        to_ns: First stamp of the new time.
+    """
+
+    from_ns: int
+    to_ns: int
+
+
+@dataclass(slots=True)
+class _Run:
+    """Samples of another time that came one after the other."""
+
+    first_ns: int
+    last_ns: int
+    count: int = 1
 
 
 @dataclass(order=True, slots=True)
@@ -107,11 +143,26 @@ class Fold:
         self._max_delay_ns = round(parameters.max_delay * NS)
         self._output_delay_ns = round(parameters.output_delay * NS)
         self._gyro_average_ns = round(parameters.dvl.gyro_average * NS)
+        self._jump_limit_ns = round(parameters.jump_limit * NS)
+        max_gap_ns = round(parameters.imu.max_gap * NS)
+        self._near_ns = max(self._max_delay_ns, max_gap_ns)  # samples as near are of one time
+        self._run_gap_ns = max(RUN_GAP_NS, max_gap_ns)
         self._capacity = capacity
         self.reset()
 
     def reset(self) -> None:
         """Forget everything; initialisation starts again."""
+        self._counts = Counter[str]()  # of times that were left, and of the fold itself
+        self._left: list[_Left] = []  # until `take` has given what was not yet published
+        #: The time jump that ``jump_action: hold`` does not follow; None when there is none.
+        self.held: TimeJump | None = None
+        # What is of another time, each with the newest stamp when it came.
+        self._suspects: deque[tuple[int, Event]] = deque(maxlen=MAX_SUSPECTS)
+        self._begin()
+
+    def _begin(self) -> None:
+        """An empty time."""
+        self._run: _Run | None = None  # that the last suspects made
         self._start = self.filter.start()
         self._state = self._start.copy()
         self._count = 0
@@ -130,15 +181,97 @@ class Fold:
         """Insert an event.
 
         Returns:
-            None, or why it was not used: ``not_finite``, ``too_late`` (older than the newest sample
-            by more than max_delay), ``duplicate`` (of one stamp and kind, the event with the
-            smallest payload counts, whichever comes first).
+            None, or why it was not used: ``not_finite``, ``out_of_range`` (beyond all that is
+            physical, see `events.refusal`), ``too_late`` (older than the newest sample by more than
+            max_delay), ``far_ahead`` (of it by more than jump_limit, and a sample behind a gap
+            longer than max_delay until the next one confirms it), ``duplicate`` (of one stamp and
+            kind, the event with the smallest payload counts, whichever comes first). What was too
+            late or far ahead may be used after all: then it is counted as ``recovered``.
         """
-        if not _finite(event):
-            return "not_finite"
-        if self._count and event.stamp_ns < self.newest_ns - self._max_delay_ns:
-            return "too_late"
+        reason = refusal(event)
+        if reason is not None:
+            return reason
+        if self._count:
+            ahead_ns = event.stamp_ns - self.newest_ns
+            limit_ns = self._near_ns if isinstance(event, Imu) else self._jump_limit_ns
+            if ahead_ns < -self._max_delay_ns:
+                return self._suspect(event, "too_late")
+            if ahead_ns > limit_ns:
+                return self._suspect(event, "far_ahead")
+        reason = self._insert(event)
+        if isinstance(event, Imu) and reason is None:
+            self._confirm_present()
+        return reason
+
+    def _insert(self, event: Event) -> str | None:
         return self._add_imu(event) if isinstance(event, Imu) else self._add_entry(event)
+
+    # ---------------------------------------------------------------- another time
+
+    def _suspect(self, event: Event, reason: str) -> str | None:
+        """Keep an event of another time, and follow there when the samples have gone there."""
+        newest_ns, stamp_ns = self.newest_ns, event.stamp_ns
+        self._suspects.append((newest_ns, event))
+        if not isinstance(event, Imu) or abs(stamp_ns - newest_ns) <= self._near_ns:
+            return reason
+        run = self._run
+        if run is None or abs(stamp_ns - run.last_ns) > self._run_gap_ns:
+            self._run = run = _Run(stamp_ns, stamp_ns)
+        elif stamp_ns > run.last_ns:
+            run.last_ns, run.count = stamp_ns, run.count + 1
+        is_gap = 0 < stamp_ns - newest_ns <= self._jump_limit_ns
+        if run.count < (GAP_SAMPLES if is_gap else JUMP_SAMPLES):
+            return reason
+        candidates = [suspect for _, suspect in self._suspects]
+        if not is_gap:
+            jump = TimeJump(newest_ns, run.first_ns)
+            if self.parameters.jump_action == "hold":
+                self.held = jump
+                return reason
+            # What waited for samples of the old time may belong to the new one.
+            waiting = [e.event for e in self._entries if e.event.stamp_ns > newest_ns]
+            self._leave(jump)
+            self._counts["given_up"] += len(waiting) - self._insert_of(run, waiting)
+        self._suspects.clear()
+        # The sample that completes the run has not been refused.
+        self._counts["recovered"] += self._insert_of(run, candidates) - 1
+        self._confirm_present()
+        return None
+
+    def _insert_of(self, run: _Run, candidates: Iterable[Event]) -> int:
+        """Insert those events that are of the run's time; returns their number."""
+        count = 0
+        for event in candidates:
+            last_ns = run.last_ns + (0 if isinstance(event, Imu) else self._jump_limit_ns)
+            if run.first_ns - self._max_delay_ns <= event.stamp_ns <= last_ns:
+                self._insert(event)
+                count += 1
+        return count
+
+    def _confirm_present(self) -> None:
+        """A sample of the present time was accepted: no run of suspects is one."""
+        self._run = self.held = None
+        # Suspects stay while stamps that arrive in another order could still make them needed.
+        oldest_ns = self.newest_ns - self._max_delay_ns
+        while self._suspects and self._suspects[0][0] < oldest_ns:
+            self._suspects.popleft()
+
+    def _leave(self, jump: TimeJump) -> None:
+        """Put the present time aside and begin an empty one; where odom lies stays known."""
+        result = FoldResult(self.filter, self.states, self.updates, self._state_counts(), {})
+        stamps_ns = self._stamps[: self._count]
+        self._left.append(_Left(jump, result, stamps_ns, self._unpublished, self._published_ns))
+        self._counts.update(result.counts)
+        self._counts["time_jumps"] += 1
+        last = self._states[self._count - 1]
+        self._begin()
+        for name in ("lat_0", "lon_0", "h_0"):
+            self._start[name] = last[name]
+
+    @property
+    def left(self) -> "list[FoldResult]":
+        """The times that were left by a jump since the last `take`."""
+        return [left.result for left in self._left]
 
     @property
     def newest_ns(self) -> int:
@@ -183,7 +316,8 @@ class Fold:
             w_ib_b: (N, 3) angular rate [rad/s], same axes.
 
         Raises:
-            ValueError: The arrays do not fit, are not finite, or the stamps do not increase.
+            ValueError: The arrays do not fit, are not finite, or the stamps do not increase or step
+                by more than jump_limit.
         """
         n = len(stamps_ns)
         if self._count:
@@ -200,6 +334,14 @@ class Fold:
             raise ValueError(
                 f"stamps_ns must increase, got {stamps_ns[at + 1]} after {stamps_ns[at]} at "
                 f"index {at + 1}"
+            )
+        far = np.flatnonzero(np.diff(stamps_ns) > self._jump_limit_ns)
+        if far.size:
+            at = int(far[0])
+            raise ValueError(
+                f"stamps_ns must not step by more than jump_limit "
+                f"({self.parameters.jump_limit:g} s), got {stamps_ns[at + 1]} after "
+                f"{stamps_ns[at]} at index {at + 1}"
             )
         if n > self._stamps.size:
             self._grow(n)
@@ -221,9 +363,23 @@ class Fold:
             self._entries.insert(at, entry)
             if isinstance(event, Dvl):
                 self._unpublished.append(entry)
+            if self._count == 0:
+                self._bound_waiting(event.kind)
         k = int(np.searchsorted(self._stamps[: self._count], event.stamp_ns))
         self._stale = min(self._stale, k)
         return "duplicate" if duplicate else None
+
+    def _bound_waiting(self, kind: Kind) -> None:
+        """Give up an event of a kind of which too many wait for the first sample.
+
+        The oldest has the least to say, but of origins the first counts.
+        """
+        same = [entry for entry in self._entries if entry.event.kind == kind]
+        if len(same) > MAX_WAITING:
+            given_up = same[-1] if kind == Kind.ORIGIN else same[0]
+            self._entries.remove(given_up)
+            self._unpublished = [e for e in self._unpublished if e is not given_up]
+            self._counts["given_up"] += 1
 
     def _make_room(self) -> int:
         """Drop the samples and events that nothing can reach any more; returns how many samples.
@@ -312,7 +468,10 @@ class Fold:
         elif isinstance(event, ProcessNoise):
             self.filter.tell_process_noise(state, event)
         elif isinstance(event, Initial):
-            if not (event.once and state[0]["initialised"]):
+            missed_ns = int(self._stamps[k]) - event.stamp_ns
+            if state[0]["imu_ns"] == NEVER and missed_ns > self._jump_limit_ns:
+                state["too_old"] += 1  # nobody knows where the vehicle has gone since
+            elif not (event.once and state[0]["initialised"]):
                 self.filter.initialise(state, event, event.stamp_ns, self._w_ib_b[k])
         elif isinstance(event, Origin):
             self.filter.locate(state, event)
@@ -345,60 +504,75 @@ class Fold:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Counters of the newest state: gaps, time-outs of Q, floors, recoveries of the gate."""
+        """Counters since `reset`: those of the state, all times together, and those of the fold.
+
+        ``time_jumps``; ``recovered``, the refused events that were used after all; ``given_up``,
+        the events that waited for a first sample until there were too many.
+        """
+        own = {name: self._counts[name] for name in ("time_jumps", "recovered", "given_up")}
+        return {k: self._counts[k] + n for k, n in self._state_counts().items()} | own
+
+    def _state_counts(self) -> dict[str, int]:
         self._fold()
         s = self._states[self._count - 1] if self._count else self._start[0]
         return {name: int(s[name]) for name in COUNTERS}
 
-    def take(self) -> list[Odometry | AppliedUpdate]:
+    def take(self) -> list[Odometry | AppliedUpdate | TimeJump]:
         """What became publishable since the last call, in the order of stamps.
 
         Odometry for every new sample that is `output_delay` old; what was taken once is not given
-        again, even where a late event has changed it since.
+        again, even where a late event has changed it since. At a time jump first all that is left
+        of the old time, then the jump, then what is of the new time.
         """
         self._fold()
-        if self._count == 0:
-            return []
-        until_ns = self.newest_ns - self._output_delay_ns
-        outputs: list[Odometry | AppliedUpdate] = []
-        waiting = []
-        for entry in self._unpublished:
-            if entry.report is None or entry.event.stamp_ns > until_ns:
-                waiting.append(entry)
-            else:
-                outputs.append(AppliedUpdate(entry.event.stamp_ns, entry.report))
-        self._unpublished = waiting
-        stamps = self._stamps[: self._count]
-        first = int(np.searchsorted(stamps, self._published_ns, side="right"))
-        last = int(np.searchsorted(stamps, until_ns, side="right"))
-        for k in range(first, last):
-            if self._states[k]["initialised"]:
-                outputs.append(odometry(self.filter, self._states, k))
-        if last > first:
-            self._published_ns = int(stamps[last - 1])
-        outputs.sort(key=lambda output: output.stamp_ns)
+        outputs: list[Odometry | AppliedUpdate | TimeJump] = []
+        for left in self._left:
+            outputs += left.outputs()
+            outputs.append(left.jump)
+        self._left.clear()
+        if self._count:
+            until_ns = self.newest_ns - self._output_delay_ns
+            stamps_ns = self._stamps[: self._count]
+            done, self._unpublished = _split(self._unpublished, until_ns)
+            first, last = _between(stamps_ns, self._published_ns, until_ns)
+            outputs += _outputs(self.filter, self._states, first, last, done)
+            if last > first:
+                self._published_ns = int(stamps_ns[last - 1])
         return outputs
+
+
+def _split(entries: list[_Entry], until_ns: int) -> tuple[list[_Entry], list[_Entry]]:
+    """Those that were applied and are not after a stamp, and the others."""
+    done = [e for e in entries if e.report is not None and e.event.stamp_ns <= until_ns]
+    return done, [e for e in entries if e.report is None or e.event.stamp_ns > until_ns]
+
+
+def _between(stamps_ns: Stamps, after_ns: int, until_ns: int) -> tuple[int, int]:
+    """Indices first <= k < last of the stamps after one time and up to another."""
+    first, last = (int(np.searchsorted(stamps_ns, t, side="right")) for t in (after_ns, until_ns))
+    return first, max(first, last)
+
+
+def _outputs(
+    filter_: Filter, states: Records, first: int, last: int, entries: list[_Entry]
+) -> list[Odometry | AppliedUpdate]:
+    """Odometry of the states first <= k < last, and the updates, in the order of stamps."""
+    outputs: list[Odometry | AppliedUpdate] = [
+        AppliedUpdate(entry.event.stamp_ns, entry.report)
+        for entry in entries
+        if entry.report is not None
+    ]
+    for k in range(first, last):
+        if states[k]["initialised"]:
+            outputs.append(odometry(filter_, states, k))
+    outputs.sort(key=lambda output: output.stamp_ns)
+    return outputs
 
 
 def _grown(array: NDArray[Any], size: int) -> NDArray[Any]:
     larger = np.empty((size, *array.shape[1:]), array.dtype)
     larger[: len(array)] = array
     return larger
-
-
-def _finite(event: Event) -> bool:
-    if isinstance(event, Imu):
-        values: Sequence[Array | None] = (event.f_b, event.w_ib_b)
-    elif isinstance(event, Dvl):
-        values = (event.v_d, event.R)
-    elif isinstance(event, ProcessNoise):
-        values = (event.Q_f, event.Q_w)
-    elif isinstance(event, Initial):
-        values = (event.C_n_b, event.p_n, event.v, event.P_v, event.P_psi, event.P_p)
-    else:
-        values = (np.array([event.lat, event.lon, event.h]),)
-    # On so few numbers this is several times as fast as numpy's own check.
-    return all(value is None or all(map(isfinite, value.ravel().tolist())) for value in values)
 
 
 @dataclass(frozen=True)
@@ -420,6 +594,23 @@ class FoldResult:
     refused: dict[str, int]
 
 
+@dataclass(frozen=True, slots=True)
+class _Left:
+    """A time that was left, and what of it is not yet published."""
+
+    jump: TimeJump
+    result: FoldResult
+    stamps_ns: Stamps
+    unpublished: list[_Entry]
+    published_ns: int
+
+    def outputs(self) -> list[Odometry | AppliedUpdate]:
+        """All that is left to publish: nothing can come late any more."""
+        done, _ = _split(self.unpublished, self.jump.from_ns)
+        first, last = _between(self.stamps_ns, self.published_ns, self.jump.from_ns)
+        return _outputs(self.result.filter, self.result.states, first, last, done)
+
+
 def run(
     parameters: FilterParameters,
     stamps_ns: Stamps,
@@ -437,7 +628,8 @@ def run(
         events: All other events, in any order.
 
     Raises:
-        ValueError: The arrays do not fit, are not finite, or the stamps do not increase.
+        ValueError: The arrays do not fit, are not finite, or the stamps do not increase or step by
+            more than jump_limit.
     """
     fold = Fold(parameters, capacity=max(len(stamps_ns), 1))
     refused = Counter(reason for event in events if (reason := fold.add(event)) is not None)

@@ -3,20 +3,25 @@
 The filter node and `insdvl replay` both read their messages through this, so both fold the same.
 """
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 from insdvl import messages
-from insdvl.events import NS, Event
+from insdvl.events import NS, Event, Initial
 from insdvl.frames import CONVENTIONS
+from insdvl.messages import RejectedMessage
 from insdvl.parameters import FilterParameters
+from insdvl.state import NEVER
 
 IMU = "sensor_msgs/msg/Imu"
 FIX = "sensor_msgs/msg/NavSatFix"
 TWIST = "geometry_msgs/msg/TwistStamped"
 TWIST_WITH_COVARIANCE = "geometry_msgs/msg/TwistWithCovarianceStamped"
 ODOMETRY = "nav_msgs/msg/Odometry"
+
+_AnyEvent = TypeVar("_AnyEvent", bound=Event)
 
 #: Topic of each source of Q that listens to one.
 Q_TOPICS = {"external": "process_noise", "oracle": "ground_truth/process_noise"}
@@ -29,11 +34,17 @@ class Inputs:
         topics: Type of the messages of each topic that is taken.
         required: Topics without which there is no result, and why.
         initial_topic: Topic of the initial state in the mode ``topic``, else None.
+        frame_ids: The last frame_id of each topic.
+        frame_changes: How often the frame_id of a topic has changed under way.
     """
 
     def __init__(self, parameters: FilterParameters) -> None:
         self._parameters = parameters
         self._convention = CONVENTIONS[parameters.frame_convention]
+        self._max_delay_ns = round(parameters.max_delay * NS)
+        self._jump_limit_ns = round(parameters.jump_limit * NS)
+        self.frame_ids: dict[str, str] = {}
+        self.frame_changes: Counter[str] = Counter()
         self.topics = {
             "imu/data_raw": IMU,
             "dvl/velocity": TWIST,
@@ -62,6 +73,7 @@ class Inputs:
         self._initial_until_ns: int | None = None
         #: Whether no further message of the initial topic can be the one with the first stamp.
         self.initial_done = False
+        self._unstamped: Initial | None = None  # a set_odometry that waits for a sample's stamp
 
     def events(self, topic: str, message: Any, newest_ns: int) -> Iterator[Event]:
         """The events of a message.
@@ -75,26 +87,74 @@ class Inputs:
             RejectedMessage: The message cannot be used.
         """
         convention = self._convention
+        self._check_frame(topic, message)
         if topic == "imu/data_raw":
-            yield messages.imu(message, convention)
+            sample = messages.imu(message, convention)
+            yield sample
+            if self._unstamped is not None:
+                yield replace(self._unstamped, stamp_ns=sample.stamp_ns)
+                self._unstamped = None
             if self._parameters.process_noise.source == "message":
                 yield messages.process_noise(message, convention)
         elif topic in ("dvl/velocity", "dvl/velocity_cov"):
             yield messages.dvl(message, convention)
         elif topic in Q_TOPICS.values():
-            yield messages.process_noise(message, convention)
+            yield self._stamped(messages.process_noise(message, convention), newest_ns)
         elif topic == "gps/fix":
-            yield messages.origin(message)
+            yield self._stamped(messages.origin(message), newest_ns)
         elif topic == "set_odometry":
             event = messages.initial(message, convention, once=False)
-            if event.stamp_ns == 0:
-                event = replace(event, stamp_ns=max(newest_ns, 0))
-            yield event
-        if topic == self.initial_topic:
+            if event.stamp_ns != 0:
+                yield event
+            elif newest_ns == NEVER:
+                self._unstamped = event
+            else:
+                yield replace(event, stamp_ns=newest_ns)
+        if topic == self.initial_topic and not self.initial_done:
             event = messages.initial(message, convention, once=True)
-            # One with an earlier stamp may still come and then is the first; after max_delay none.
+            self._stamped(event, newest_ns)
+            # One with an earlier stamp may still come and then is the first; after max_delay none,
+            # unless the stamp is of another time than the samples.
             if self._initial_until_ns is None:
-                self._initial_until_ns = event.stamp_ns + round(self._parameters.max_delay * NS)
-            self.initial_done = event.stamp_ns > self._initial_until_ns
+                self._initial_until_ns = event.stamp_ns + self._max_delay_ns
+            now_ns = newest_ns + self._jump_limit_ns
+            self.initial_done = self._initial_until_ns < event.stamp_ns <= now_ns
             if not self.initial_done:
                 yield event
+
+    def _stamped(self, event: _AnyEvent, newest_ns: int) -> _AnyEvent:
+        """The event, unless its stamp is zero while the samples are far from zero.
+
+        Time may start at 0, as it does in a simulation; then zero is a stamp as any other.
+
+        Raises:
+            RejectedMessage: ``no_stamp``.
+        """
+        if event.stamp_ns == 0 and newest_ns > self._jump_limit_ns:
+            raise RejectedMessage("no_stamp", "stamp is 0")
+        return event
+
+    def _check_frame(self, topic: str, message: Any) -> None:
+        """Refuse a frame_id that is not the declared one; count those that change.
+
+        Raises:
+            RejectedMessage: ``wrong_frame``.
+        """
+        parameters, frame_id = self._parameters, str(message.header.frame_id)
+        pairs = [("frame_id", frame_id, "")]
+        if topic == "imu/data_raw":
+            pairs = [("frame_id", frame_id, parameters.imu.frame_id)]
+        elif topic in ("dvl/velocity", "dvl/velocity_cov"):
+            pairs = [("frame_id", frame_id, parameters.dvl.frame_id)]
+        elif topic == "set_odometry":
+            child = str(message.child_frame_id)
+            pairs = [
+                ("frame_id", frame_id, frame_id and parameters.odom_frame),
+                ("child_frame_id", child, child and parameters.base_frame),
+            ]
+        for name, found, wanted in pairs:
+            if wanted and found != wanted:
+                raise RejectedMessage("wrong_frame", f"{name} is {found!r}, not {wanted!r}")
+        if self.frame_ids.setdefault(topic, frame_id) != frame_id:
+            self.frame_ids[topic] = frame_id
+            self.frame_changes[topic] += 1

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl.events import NS, Dvl, Imu, Initial, Origin, ProcessNoise
+from insdvl.events import MAX_VARIANCE, NS, Dvl, Imu, Initial, Origin, ProcessNoise
 from insdvl.frames import Convention, rotation_from_quaternion
 
 Array = NDArray[np.float64]
@@ -32,8 +32,27 @@ class RejectedMessage(ValueError):
 
 
 def stamp_ns(header: Any) -> int:
-    """Stamp of a header in integer nanoseconds."""
-    return int(header.stamp.sec) * NS + int(header.stamp.nanosec)
+    """Stamp of a header in integer nanoseconds.
+
+    Raises:
+        RejectedMessage: ``bad_stamp`` (negative seconds, or nanoseconds beyond a second).
+    """
+    seconds, nanoseconds = int(header.stamp.sec), int(header.stamp.nanosec)
+    if seconds < 0 or not 0 <= nanoseconds < NS:
+        raise RejectedMessage("bad_stamp", f"stamp is {seconds} s and {nanoseconds} ns")
+    return seconds * NS + nanoseconds
+
+
+def sensor_stamp_ns(header: Any) -> int:
+    """As `stamp_ns`, for a sensor, where zero means that nobody has set it.
+
+    Raises:
+        RejectedMessage: ``bad_stamp`` or ``no_stamp``.
+    """
+    stamp = stamp_ns(header)
+    if stamp == 0:
+        raise RejectedMessage("no_stamp", "stamp is 0")
+    return stamp
 
 
 def vector(field: Any, name: str) -> Array:
@@ -48,6 +67,18 @@ def vector(field: Any, name: str) -> Array:
     return np.array([x, y, z])
 
 
+def square(field: Any, size: int, name: str) -> Array:
+    """A row-major field of size^2 numbers as (size, size).
+
+    Raises:
+        RejectedMessage: ``bad_covariance``: it has another number of elements.
+    """
+    value = np.asarray(field, dtype=float).ravel()
+    if value.size != size * size:
+        raise RejectedMessage("bad_covariance", f"{name} has {value.size} elements")
+    return value.reshape(size, size)
+
+
 def covariance(field: Any, size: int, name: str) -> Array | None:
     """A row-major covariance field as (size, size); None where it is unknown (zeros).
 
@@ -55,36 +86,41 @@ def covariance(field: Any, size: int, name: str) -> Array | None:
         RejectedMessage: ``no_data`` (first element -1), ``bad_covariance`` (wrong size, not finite,
             not symmetric, or not positive semidefinite).
     """
-    value = np.asarray(field, dtype=float).ravel()
-    if value.size != size * size:
-        raise RejectedMessage("bad_covariance", f"{name} has {value.size} elements")
-    if value[0] == -1.0:
+    matrix = square(field, size, name)
+    if matrix[0, 0] == -1.0:
         raise RejectedMessage("no_data", f"{name}[0] is -1")
-    if not value.any():
+    if not matrix.any():
         return None
-    matrix = value.reshape(size, size)
     if not np.isfinite(matrix).all():
-        raise RejectedMessage("bad_covariance", f"{name} is not finite: {value.tolist()}")
+        raise RejectedMessage("bad_covariance", f"{name} is not finite: {matrix.tolist()}")
     scale = np.abs(matrix).max()
+    if scale > MAX_VARIANCE:
+        raise RejectedMessage("bad_covariance", f"{name} is as large as {scale:g}")
     if np.abs(matrix - matrix.T).max() > 1e-9 * scale:
-        raise RejectedMessage("bad_covariance", f"{name} is not symmetric: {value.tolist()}")
+        raise RejectedMessage("bad_covariance", f"{name} is not symmetric: {matrix.tolist()}")
     matrix = (matrix + matrix.T) / 2
     if np.linalg.eigvalsh(matrix)[0] < -1e-9 * scale:
         raise RejectedMessage("bad_covariance", f"{name} has a negative eigenvalue")
     return matrix
 
 
+def _not_measured(field: Any) -> bool:
+    """REP-145's mark in a covariance field, which may have any size."""
+    return len(field) > 0 and float(field[0]) == -1.0
+
+
 def imu(message: Any, convention: Convention) -> Imu:
     """The sample of a sensor_msgs/Imu.
 
     Raises:
-        RejectedMessage: ``not_finite``, or ``no_data`` where a triad says that it does not measure.
+        RejectedMessage: ``bad_stamp``, ``no_stamp``, ``not_finite``, or ``no_data`` where a triad
+            says that it does not measure.
     """
     for name in ("linear_acceleration", "angular_velocity"):
-        if getattr(message, name + "_covariance")[0] == -1.0:
+        if _not_measured(getattr(message, name + "_covariance")):
             raise RejectedMessage("no_data", f"{name}_covariance[0] is -1")
     return Imu(
-        stamp_ns=stamp_ns(message.header),
+        stamp_ns=sensor_stamp_ns(message.header),
         f_b=convention.body @ vector(message.linear_acceleration, "linear_acceleration"),
         w_ib_b=convention.body @ vector(message.angular_velocity, "angular_velocity"),
     )
@@ -94,12 +130,12 @@ def process_noise(message: Any, convention: Convention) -> ProcessNoise:
     """The per-sample covariances of a sensor_msgs/Imu.
 
     Raises:
-        RejectedMessage: ``bad_covariance``.
+        RejectedMessage: ``bad_stamp`` or ``bad_covariance``.
     """
 
     def rotated(name: str) -> Array | None:
         field = getattr(message, name)
-        if field[0] == -1.0:
+        if _not_measured(field):
             return None
         Q = covariance(field, 3, name)
         return None if Q is None else convention.body @ Q @ convention.body.T
@@ -115,16 +151,18 @@ def dvl(message: Any, convention: Convention) -> Dvl:
     """The velocity of a geometry_msgs/TwistStamped or TwistWithCovarianceStamped.
 
     Raises:
-        RejectedMessage: ``not_finite``, ``no_data`` or ``bad_covariance``.
+        RejectedMessage: ``bad_stamp``, ``no_stamp``, ``not_finite``, ``no_data`` or
+            ``bad_covariance``.
     """
     twist, R = message.twist, None
     if hasattr(twist, "covariance"):
-        R = covariance(np.asarray(twist.covariance).reshape(-1, 6)[:3, :3], 3, "twist.covariance")
+        name = "twist.covariance"
+        R = covariance(square(twist.covariance, 6, name)[:3, :3], 3, name)
         twist = twist.twist
     if R is not None:
         R = convention.body @ R @ convention.body.T
     return Dvl(
-        stamp_ns=stamp_ns(message.header),
+        stamp_ns=sensor_stamp_ns(message.header),
         v_d=convention.body @ vector(twist.linear, "twist.linear"),
         R=R,
     )
@@ -134,7 +172,8 @@ def initial(message: Any, convention: Convention, *, once: bool) -> Initial:
     """The state of a nav_msgs/Odometry: pose in odom, twist in body axes (REP-105).
 
     Raises:
-        RejectedMessage: ``not_finite``, ``bad_quaternion``, ``no_data`` or ``bad_covariance``.
+        RejectedMessage: ``bad_stamp``, ``not_finite``, ``bad_quaternion``, ``no_data`` or
+            ``bad_covariance``.
     """
     q = message.pose.pose.orientation
     q_xyzw = np.array([q.x, q.y, q.z, q.w], dtype=float)
@@ -166,7 +205,8 @@ def origin(message: Any) -> Origin:
     """The position of a sensor_msgs/NavSatFix.
 
     Raises:
-        RejectedMessage: ``no_data`` (status below 0), ``not_finite`` or ``out_of_range``.
+        RejectedMessage: ``bad_stamp``, ``no_data`` (status below 0), ``not_finite`` or
+            ``out_of_range`` (the latitude; the fold refuses an impossible height).
     """
     if message.status.status < 0:
         raise RejectedMessage("no_data", f"status is {message.status.status}")

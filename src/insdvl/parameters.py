@@ -232,6 +232,9 @@ class ImuParameters:
     lever_arm: tuple[float, ...] = parameter(
         (0.0, 0.0, 0.0), "Position of the IMU in base_link.", unit="m", length=3
     )
+    frame_id: str = parameter(
+        "", "A sample of any other frame_id is refused as 'wrong_frame'; empty for any."
+    )
     max_gap: float = parameter(
         0.1,
         "An interval between IMU stamps longer than this is a gap: it is counted, bridged with "
@@ -251,6 +254,9 @@ class ImuParameters:
 class DvlParameters:
     """The real DVL and the error that is modelled of it."""
 
+    frame_id: str = parameter(
+        "", "A measurement of any other frame_id is refused as 'wrong_frame'; empty for any."
+    )
     mount: tuple[float, ...] = parameter(
         (0.0, 0.0, 0.0),
         "Rotation from DVL axes to base_link axes, as roll, pitch, yaw of the DVL in base_link.",
@@ -469,6 +475,20 @@ class FilterParameters:
         low=0.0,
         high=60.0,
     )
+    jump_limit: float = parameter(
+        30.0,
+        "An IMU stamp that is ahead of the newest by more than this, or older than max_delay, is "
+        "of another time; ten such samples in a row are a time jump.",
+        unit="s",
+        low=1.0,
+        high=3600.0,
+    )
+    jump_action: str = parameter(
+        "reset",
+        "At a time jump the filter starts again in the new time; or everything stays refused until "
+        "stamps of the old time come again or ~/reset is called.",
+        choices=("reset", "hold"),
+    )
     q_timeout: float = parameter(
         5.0,
         "A Q from a topic older than this (in stamps) falls back to the nominal.",
@@ -488,6 +508,12 @@ class FilterParameters:
                 f"parameter 'output_delay' must be at most max_delay ({self.max_delay:g} s), "
                 f"got {self.output_delay!r}"
             )
+        for name, value in (("max_delay", self.max_delay), ("imu.max_gap", self.imu.max_gap)):
+            if self.jump_limit < value:
+                raise ParameterError(
+                    f"parameter 'jump_limit' must be at least {name} ({value:g} s), "
+                    f"got {self.jump_limit!r}"
+                )
 
 
 @dataclass(frozen=True)
@@ -718,6 +744,43 @@ class SimulatorParameters:
     dvl: SimulatedDvlParameters = field(default_factory=SimulatedDvlParameters)
 
 
+@dataclass(frozen=True)
+class RelayParameters:
+    """Parameters of the relay, a link that loses, delays, reorders and doubles messages."""
+
+    topics: tuple[str, ...] = parameter(
+        ("imu/data_raw", "dvl/velocity"),
+        "What is sent on: topics that the filter takes, or the simulator's truth.",
+    )
+    prefix: str = parameter(
+        "sent/", "Each topic is taken from this and its name, and sent on by its name alone."
+    )
+    loss: float = parameter(0.0, "Probability that a message is lost.", low=0.0, high=1.0)
+    duplication: float = parameter(
+        0.0, "Probability that a message that is not lost arrives twice.", low=0.0, high=1.0
+    )
+    delay: float = parameter(
+        0.0, "Time that every message takes at least, of the wall.", unit="s", low=0.0, high=60.0
+    )
+    jitter: float = parameter(
+        0.0,
+        "Largest further delay; each copy of a message has one of its own, evenly distributed, so "
+        "messages that are closer than that overtake each other.",
+        unit="s",
+        low=0.0,
+        high=60.0,
+    )
+    seed: int = parameter(
+        1, "Of all that is random: it decides what becomes of a topic's n-th message.", low=0
+    )
+
+    def __post_init__(self) -> None:
+        if not self.prefix:
+            raise ParameterError(
+                "parameter 'prefix' must not be empty: the relay would hear itself"
+            )
+
+
 #: Sections of a YAML file, and the group that each one builds.
 SECTIONS: Mapping[str, type[Any]] = MappingProxyType(
     {
@@ -725,6 +788,7 @@ SECTIONS: Mapping[str, type[Any]] = MappingProxyType(
         "insdvl_tuner": TunerParameters,
         "insdvl_replay": ReplayParameters,
         "insdvl_simulator": SimulatorParameters,
+        "insdvl_relay": RelayParameters,
     }
 )
 

@@ -26,9 +26,9 @@ from insdvl.evaluation.metrics import (
     normalised_innovations,
     scores,
 )
-from insdvl.events import NS, Event, Imu
+from insdvl.events import NS, Event
 from insdvl.files import check_writable, json_text, write
-from insdvl.fold import Fold, FoldResult
+from insdvl.fold import AppliedUpdate, Fold, FoldResult
 from insdvl.frames import CONVENTIONS, NED
 from insdvl.inputs import Q_TOPICS, Inputs
 from insdvl.messages import RejectedMessage
@@ -43,7 +43,6 @@ from insdvl.parameters import (
 )
 from insdvl.simulation.imu import white_noise
 from insdvl.simulation.noise import segments
-from insdvl.state import NEVER
 from insdvl.tuner.tuner import Tuner
 
 Array = NDArray[np.float64]
@@ -111,8 +110,9 @@ class Injection:
         """A recording whose IMU is noisier, with the true added variances as process noise.
 
         Recorded process noise and the covariances in the IMU's messages no longer hold: they are
-        left out.
+        left out, as are samples without a usable stamp.
         """
+        recording = [raw for raw in recording if _has_stamp(raw)]
         samples = [decode(raw).message for raw in recording if raw.topic == "imu/data_raw"]
         stamps_ns = np.array([messages.stamp_ns(sample.header) for sample in samples])
         q, noise = self.draw(stamps_ns)
@@ -138,6 +138,16 @@ class Injection:
             noisy.append(bags.encode(raw.topic, raw.time_ns, message))
             k += 1
         return noisy
+
+
+def _has_stamp(raw: Raw) -> bool:
+    """Whether a message that is a sample of the IMU has a stamp to draw noise for."""
+    try:
+        return (
+            raw.topic != "imu/data_raw" or messages.sensor_stamp_ns(decode(raw).message.header) > 0
+        )
+    except RejectedMessage:
+        return False
 
 
 def changes(stamps_ns: NDArray[np.int64], q: Array) -> list[tuple[int, int]]:
@@ -191,7 +201,7 @@ class Replayed:
     """A recording, folded.
 
     Attributes:
-        fold: With the states at all IMU stamps.
+        fold: With the states at all IMU stamps; those before a time jump are in ``fold.left``.
         rejected: Messages that were not used, by ``topic: reason``.
     """
 
@@ -200,37 +210,44 @@ class Replayed:
 
     @property
     def initialised(self) -> NDArray[np.intp]:
-        """Indices of the initialised states."""
+        """Indices of the initialised states, after the last time jump."""
         return np.flatnonzero(self.fold.states["initialised"])
+
+    @property
+    def parts(self) -> list[Fold | FoldResult]:
+        """What was folded between time jumps, in the order of arrival."""
+        return [*self.fold.left, self.fold]
+
+    @property
+    def updates(self) -> list[AppliedUpdate]:
+        """Of all parts."""
+        return [update for part in self.parts for update in part.updates]
 
 
 def recorded_events(
-    recording: Sequence[Raw], parameters: FilterParameters, rejected: Counter[str]
+    recording: Sequence[Raw], inputs: Inputs, newest: Callable[[], int], rejected: Counter[str]
 ) -> Iterator[tuple[str, Event]]:
     """The filter's events in the order of their messages, each with its topic.
 
     Args:
         recording: The messages.
-        parameters: Of the filter.
+        inputs: Of the filter.
+        newest: Tells the newest stamp of the IMU that the filter knows.
         rejected: Counts the messages that cannot be used, by ``topic: reason``.
 
     Raises:
         BagError: What the parameters need is not in the recording, or a message is damaged.
     """
-    inputs = Inputs(parameters)
     there = {raw.topic for raw in recording}
     for topic, reason in inputs.required.items():
         if topic.lstrip("/") not in there:
             raise BagError(f"{reason}, but nothing in the recording is played on {topic}")
     names = {topic.lstrip("/"): topic for topic in inputs.topics}
-    newest_ns = NEVER
     for raw in recording:
         if raw.topic not in names:
             continue
         try:
-            for event in inputs.events(names[raw.topic], decode(raw).message, newest_ns):
-                if isinstance(event, Imu):
-                    newest_ns = max(newest_ns, event.stamp_ns)
+            for event in inputs.events(names[raw.topic], decode(raw).message, newest()):
                 yield raw.topic, event
         except RejectedMessage as rejection:
             rejected[f"{raw.topic}: {rejection.reason}"] += 1
@@ -243,11 +260,16 @@ def fold_recording(recording: Sequence[Raw], parameters: FilterParameters) -> Re
         BagError: What the parameters need is not in the recording, or a message is damaged.
     """
     fold = Fold(parameters, capacity=sum(raw.topic == "imu/data_raw" for raw in recording) + 1)
+    inputs = Inputs(parameters)
     rejected: Counter[str] = Counter()
-    for topic, event in recorded_events(recording, parameters, rejected):
+    jumps = 0
+    for topic, event in recorded_events(recording, inputs, lambda: fold.newest_ns, rejected):
         refusal = fold.add(event)
         if refusal is not None:
             rejected[f"{topic}: {refusal}"] += 1
+        if len(fold.left) > jumps:
+            jumps = len(fold.left)
+            inputs.reset()
     return Replayed(fold, rejected)
 
 
@@ -348,9 +370,10 @@ def report(recording: Sequence[Raw], replayed: Replayed) -> dict[str, Any]:
     """The numbers of the command's JSON; None where the recording has nothing to compare with.
 
     Beside `errors_of`, the autocorrelation of the innovations is over the accepted DVL updates.
+    Where time has jumped, what compares with the truth is of the last part, the counts are of all.
     """
     fold = replayed.fold
-    updates = fold.updates
+    updates = replayed.updates
     accepted = [update.report for update in updates if update.report.accepted]
     reasons = Counter(u.report.reason for u in updates if not u.report.accepted)
     for key, count in replayed.rejected.items():
@@ -368,7 +391,7 @@ def report(recording: Sequence[Raw], replayed: Replayed) -> dict[str, Any]:
         "innovation_autocorrelation": (
             autocorrelation(normalised_innovations(nu, S), LAGS) if len(accepted) > LAGS else None
         ),
-        "imu_samples": len(fold.states),
+        "imu_samples": sum(len(part.states) for part in replayed.parts),
         "first_stamp": times_ns[0] / NS if known.size else None,
         "duration": float(times_ns[-1] - times_ns[0]) / NS if known.size else 0.0,
         "counts": fold.counts,
@@ -394,13 +417,18 @@ def write_bag(
     """
     for raw in recording:
         bag.write(raw._replace(topic="/" + raw.topic))
-    fold, axes = replayed.fold, CONVENTIONS[parameters.frame_convention].body
+    axes = CONVENTIONS[parameters.frame_convention].body
     frames = parameters.odom_frame, parameters.base_frame
     frame_ids = {raw.topic: decode(raw).message.header.frame_id for raw in _firsts(recording)}
     dvl_frame = frame_ids.get("dvl/velocity", frame_ids.get("dvl/velocity_cov", ""))
     second = None
-    for k in replayed.initialised:
-        state = odometry(fold.filter, fold.states, int(k))
+    initialised = [
+        (part, int(k))
+        for part in replayed.parts
+        for k in np.flatnonzero(part.states["initialised"])
+    ]
+    for part, k in initialised:
+        state = odometry(part.filter, part.states, k)
         message = bags.odometry_message(
             state.stamp_ns,
             frames,
@@ -414,7 +442,7 @@ def write_bag(
         bag.write(bags.encode("/odometry/filtered", state.stamp_ns, message))
         if state.stamp_ns // NS != second:
             second = state.stamp_ns // NS
-            bias = biases(fold.filter, fold.states[k])
+            bias = biases(part.filter, part.states[k])
             message = bags.imu_message(
                 bias.stamp_ns,
                 frame_ids["imu/data_raw"],
@@ -424,7 +452,9 @@ def write_bag(
                 bias.gyroscope_covariance,
             )
             bag.write(bags.encode("/imu/bias", bias.stamp_ns, message))
-    for update in fold.updates:
+    for update in replayed.updates:
+        if not np.isfinite(update.report.nis):
+            continue  # nothing was predicted to compare it with
         message = bags.twist_message(
             update.stamp_ns,
             dvl_frame,
@@ -565,5 +595,7 @@ def _print_table(document: dict[str, Any]) -> None:
         if isinstance(value, float):
             shown = f"{value:.4g}"
         print(f"{text:32} {shown} {unit}".rstrip())
+    if document["counts"]["time_jumps"]:
+        print(f"{'time jumps':32} {document['counts']['time_jumps']}, errors are after the last")
     for key, count in document["rejected"].items():
         print(f"{'not used: ' + key:32} {count}")

@@ -78,13 +78,22 @@ def state_type(n: int, window: int) -> np.dtype[np.void]:
             ("inflations", "i8"),
             ("restarts", "i8"),
             ("without_origin", "i8"),
+            ("too_old", "i8"),  # initial states from long before the first sample
         ],
         align=True,
     )
 
 
 #: Counters in the state record, by their names in diagnostics.
-COUNTERS = ("gaps", "q_timeouts", "floors", "inflations", "restarts", "without_origin")
+COUNTERS = (
+    "gaps",
+    "q_timeouts",
+    "floors",
+    "inflations",
+    "restarts",
+    "without_origin",
+    "too_old",
+)
 
 
 def empty_state(n: int, window: int) -> NDArray[np.void]:

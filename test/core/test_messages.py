@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from insdvl import messages
+from insdvl.events import NS
 from insdvl.frames import ENU, NED
 from insdvl.messages import RejectedMessage
 
@@ -85,6 +86,50 @@ def reason_of(function, *arguments, **named):
 
 def test_stamps_are_exact_nanoseconds():
     assert messages.stamp_ns(header(1_700_000_000, 999_999_999)) == 1_700_000_000_999_999_999
+
+
+@pytest.mark.parametrize(
+    ("sec", "nanosec"), [(-1, 0), (-(2**31), 999_999_999), (0, NS), (5, 2**32 - 1), (5, -1)]
+)
+def test_bad_stamps(sec, nanosec):
+    with pytest.raises(RejectedMessage, match=f"bad_stamp: stamp is {sec} s and {nanosec} ns"):
+        messages.stamp_ns(header(sec, nanosec))
+
+
+def test_the_last_stamp_there_is():
+    assert messages.stamp_ns(header(2**31 - 1, NS - 1)) == 2**31 * NS - 1
+
+
+def test_a_sensor_has_to_set_its_stamp():
+    for function, message in ((messages.imu, imu_message()), (messages.dvl, twist_message())):
+        message.header = header(0, 0)
+        assert reason_of(function, message, ENU) == "no_stamp"
+        message.header = header(0, 1)
+        assert function(message, ENU).stamp_ns == 1
+
+
+SIZES = [0, 1, 2, 3, 6, 8, 10, 12, 35, 37]
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_covariances_of_a_wrong_size(size):
+    """Refused by name where the covariance counts; a sample whose own is broken is a sample."""
+    wrong = np.ones(size)
+    message = imu_message(P_f=wrong)
+    assert messages.imu(message, ENU) is not None
+    assert reason_of(messages.process_noise, message, ENU) == "bad_covariance"
+    message = imu_message(P_w=wrong)
+    assert messages.imu(message, ENU) is not None
+    assert reason_of(messages.process_noise, message, ENU) == "bad_covariance"
+    assert reason_of(messages.dvl, twist_message(covariance=wrong), ENU) == "bad_covariance"
+    for message in (odometry_message(P=wrong), odometry_message(P_v=wrong)):
+        assert reason_of(messages.initial, message, ENU, once=False) == "bad_covariance"
+
+
+def test_a_covariance_beyond_all_measure():
+    """So large that its eigenvalues overflow."""
+    for size in (1e13, 1e200, 1.7e308):
+        assert reason_of(messages.covariance, size * np.eye(3), 3, "P") == "bad_covariance"
 
 
 @pytest.mark.parametrize("bad", [NAN, INF, -INF])

@@ -13,13 +13,21 @@ from numpy.typing import NDArray
 from recordings import REPLAY, record, save
 
 from insdvl import bags, cli, replay
-from insdvl.bags import BagError, BagReader, Raw, decode, encode
+from insdvl.bags import BagError, BagReader, BagWriter, Raw, decode, encode
 from insdvl.evaluation.metrics import autocorrelation, normalised_innovations
 from insdvl.events import NS, Dvl, Event, Initial, ProcessNoise
 from insdvl.fold import run
 from insdvl.frames import ENU, rpy_from_rotation
 from insdvl.parameters import FilterParameters, ReplayParameters, TunerParameters, build
-from insdvl.replay import Injection, fold_recording, learn, read, report, states_at
+from insdvl.replay import (
+    Injection,
+    fold_recording,
+    learn,
+    read,
+    report,
+    states_at,
+    write_bag,
+)
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import SCENARIOS, constant
 from insdvl.simulation.trajectories import BASELINE
@@ -135,6 +143,30 @@ def test_the_first_message_of_the_topic_initialises(bag: Path, mission: Mission)
         np.testing.assert_allclose(
             replayed.fold.states[name], direct.states[name], rtol=1e-9, atol=1e-9
         )
+
+
+def test_a_recording_that_begins_again_is_folded_in_parts(
+    bag: Path, mission: Mission, tmp_path: Path
+) -> None:
+    """Each part is as the whole of a recording that is played once; nothing is lost."""
+    recording = read(bag, REPLAY)
+    parameters = filter_parameters()
+    once = fold_recording(recording, parameters)
+    twice = fold_recording([*recording, *recording], parameters)
+    assert_same_states(twice.fold.states, once.fold.states)
+    assert_same_states(twice.parts[0].states, once.fold.states)
+    assert len(twice.parts) == 2
+    numbers, single = report([*recording, *recording], twice), report(recording, once)
+    assert numbers["velocity_rmse"] == pytest.approx(single["velocity_rmse"], rel=1e-12)
+    assert numbers["dvl_accepted"] == 2 * single["dvl_accepted"]
+    assert numbers["imu_samples"] == 2 * single["imu_samples"]
+    assert numbers["counts"]["time_jumps"] == 1
+    assert sum(numbers["rejected"].values()) == numbers["counts"]["recovered"]
+    with BagWriter(tmp_path / "out") as out:
+        write_bag(out, recording, twice, parameters)
+    with BagReader(tmp_path / "out") as out:
+        stamps = [raw.time_ns for raw in out.raw({"/odometry/filtered"})]
+    assert sorted(stamps) == sorted(2 * mission.stamps_ns.tolist())
 
 
 def test_bad_messages_are_counted_and_change_nothing_else(

@@ -189,12 +189,13 @@ class Graph:
             )
         )
 
-    def status(self) -> tuple[DiagnosticStatus, dict[str, str]]:
-        """The next status, and its values."""
+    def status(self) -> tuple[dict[str, DiagnosticStatus], dict[str, str]]:
+        """The next statuses by cause, and the values of all of them."""
         self.statuses.clear()
         self.until(lambda: self.statuses)
-        status = self.statuses[-1]
-        return status, {item.key: item.value for item in status.values}
+        name = "/auv/insdvl_filter: "
+        causes = {s.name.removeprefix(name): s for s in self.statuses if s.name.startswith(name)}
+        return causes, {item.key: item.value for s in causes.values() for item in s.values}
 
     def odometry(self) -> list[Odometry]:
         return self.received["odometry/filtered"]
@@ -355,27 +356,26 @@ def test_unknown_noise_is_never_zero_noise(graph: Any) -> None:
 
 def test_dead_tuner_falls_back_to_nominal_and_comes_back(graph: Any) -> None:
     g = graph(**{"process_noise.source": "external", "q_timeout": 0.5})
-    status, values = g.status()
     g.send(*imu_run(1, 3))
     status, values = g.status()
-    assert "Q is nominal" in status.message
+    assert "Q is nominal" in status["process noise"].message
     assert values["Q age [s]"] == "nominal"
     assert float(values["Q sigma f_x [m/s^2]"]) == pytest.approx(0.1)
     g.send(("process_noise", noise_message(START_NS + 2 * STEP_NS)), *imu_run(3, 20))
     status, values = g.status()
-    assert "nominal" not in status.message
+    assert status["process noise"].level == DiagnosticStatus.OK
     assert float(values["Q sigma f_x [m/s^2]"]) == pytest.approx(0.2)
     assert float(values["Q age [s]"]) == pytest.approx(0.17)
     g.send(*imu_run(20, 70))
     status, values = g.status()
-    assert status.level == DiagnosticStatus.WARN
-    assert "nominal" in status.message
+    assert status["process noise"].level == DiagnosticStatus.WARN
+    assert "nominal" in status["process noise"].message
     assert values["q_timeouts"] == "1"
     assert float(values["Q sigma f_x [m/s^2]"]) == pytest.approx(0.1)
     g.send(("process_noise", noise_message(START_NS + 69 * STEP_NS)), *imu_run(70, 72))
     status, values = g.status()
     assert float(values["Q sigma f_x [m/s^2]"]) == pytest.approx(0.2)
-    assert "nominal" not in status.message
+    assert status["process noise"].level == DiagnosticStatus.OK
 
 
 def test_noise_from_the_imu_messages_themselves(graph: Any) -> None:
@@ -467,18 +467,31 @@ def test_gaps_and_rate_are_told(graph: Any) -> None:
     status, values = g.status()
     assert values["gaps"] == "1"
     assert float(values["IMU rate of the stamps [Hz]"]) == pytest.approx(100.0)
-    assert "imu.rate is 50 Hz, the stamps say 100.0 Hz" in status.message
+    assert "imu.rate is 50 Hz, the stamps say 100.0 Hz" in status["imu"].message
+    assert "1 gaps of more than 0.1 s" in status["imu"].message
+    assert status["imu"].level == DiagnosticStatus.WARN
 
 
-def test_status_is_named_as_the_node_and_complains_without_imu(graph: Any) -> None:
+def test_statuses_are_named_by_node_and_cause(graph: Any) -> None:
     g = graph()
-    status, values = g.status()
-    assert status.name == "/auv/insdvl_filter"
-    assert status.level == DiagnosticStatus.ERROR
-    assert "no imu/data_raw received" in status.message
+    causes, values = g.status()
+    assert list(causes) == [
+        "initialisation",
+        "imu",
+        "dvl",
+        "process noise",
+        "time",
+        "frames",
+        "output",
+        "connections",
+        "unexpected errors",
+    ]
+    assert causes["imu"].level == DiagnosticStatus.ERROR
+    assert "no imu/data_raw received" in causes["imu"].message
+    assert causes["initialisation"].level == DiagnosticStatus.WARN
     g.send(*imu_run(1, 21))
-    status, values = g.status()
-    assert status.level == DiagnosticStatus.OK, status.message
+    causes, values = g.status()
+    assert {c: s.message for c, s in causes.items() if s.level != DiagnosticStatus.OK} == {}
     assert values["received imu/data_raw"] == values["sent odometry/filtered"] == "20"
     assert not [key for key in values if key.startswith("latency")]  # stamps of another year
 
@@ -498,7 +511,7 @@ def test_first_odometry_of_a_topic_initialises(graph: Any) -> None:
     g.send(*imu_run(1, 4))
     assert g.odometry() == []
     status, _ = g.status()
-    assert "not initialised, waits for start" in status.message
+    assert "not initialised, waits for a message on start" in status["initialisation"].message
     g.send(("start", odometry_message(START_NS + 3 * STEP_NS, (7.0, 8.0, 9.0))))
     g.send(*imu_run(4, 6))
     g.send(("start", odometry_message(START_NS + 5 * STEP_NS, (100.0, 0.0, 0.0))))

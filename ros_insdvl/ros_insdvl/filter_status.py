@@ -1,0 +1,336 @@
+"""What the filter node tells an operator: one status per cause (see `ros_insdvl.diagnostics`)."""
+
+from collections import Counter, deque
+from math import inf
+
+import numpy as np
+
+from insdvl.events import NS
+from insdvl.fold import AppliedUpdate, Fold
+from insdvl.inputs import Q_TOPICS, Inputs
+from insdvl.odometry import Odometry
+from insdvl.parameters import FilterParameters
+from insdvl.state import NEVER
+from ros_insdvl.diagnostics import ERROR, OF_FRAMES, OF_TIME, RECENT, SILENT, WARN, Status, View
+
+#: Stamps and clock that differ by more than this are not of one time: no latency is told.
+CLOCK_AGREEMENT_NS = 10 * NS
+#: Output that is later than this, beyond its delay, is worth a warning.
+LATE_NS = NS
+#: Stamps without an accepted DVL measurement for longer than this are worth a warning; for longer
+#: than the second, the velocity is no more known from the DVL.
+DVL_OUTAGE_NS, DVL_LOST_NS = 5 * NS, 60 * NS
+#: Largest relative difference between imu.rate and the rate of the stamps.
+RATE_TOLERANCE = 0.05
+#: Rejections by the gate that are no chance any more.
+GATE_REJECTIONS = 2
+
+IMU = "imu/data_raw"
+DVL = ("dvl/velocity", "dvl/velocity_cov")
+#: Where the updates are counted that were not made.
+UPDATES = "dvl"
+ODOMETRY = "odometry/filtered"
+
+
+class FilterWatch:
+    """Remembers what a filter node saw and did lately, and tells what it means.
+
+    Args:
+        parameters: Of the filter.
+        inputs: Of the filter.
+        fold: Of the filter.
+    """
+
+    def __init__(self, parameters: FilterParameters, inputs: Inputs, fold: Fold) -> None:
+        self._parameters = parameters
+        self._inputs = inputs
+        self._fold = fold
+        #: Updates by what became of them, and changes of a frame_id.
+        self.counts: Counter[str] = Counter()
+        self._frame_ids: dict[str, str] = {}
+        self.reset()
+
+    def reset(self) -> None:
+        """A new time: what was remembered by stamps is forgotten."""
+        self._nis: deque[float] = deque(maxlen=100)
+        self._imu_stamps: deque[int] = deque(maxlen=200)
+        self._latencies_ns: deque[int] = deque(maxlen=10_000)
+        self._started_ns: int | None = None  # stamp of the first output
+        self._sent_ns = 0  # stamp of the last one
+        self._accepted_ns: int | None = None  # stamp of the last DVL measurement that was used
+        self._output: Odometry | None = None
+
+    # ---------------------------------------------------------------- what happens
+
+    def frame(self, topic: str, frame_id: str) -> None:
+        """A sensor's message has this frame_id."""
+        if self._frame_ids.get(topic, frame_id) != frame_id:
+            self.counts[f"frame_id changes {topic}"] += 1
+        self._frame_ids[topic] = frame_id
+
+    def sampled(self, stamp_ns: int) -> None:
+        """An IMU sample was taken."""
+        self._imu_stamps.append(stamp_ns)
+
+    def updated(self, update: AppliedUpdate) -> None:
+        """A DVL measurement was used, or not."""
+        report = update.report
+        self.counts[f"DVL updates {'accepted' if report.accepted else 'rejected'}"] += 1
+        self._nis.append(report.nis)
+        if report.accepted:
+            self._accepted_ns = update.stamp_ns
+
+    def published(self, output: Odometry, now_ns: int) -> None:
+        """Odometry was published at a time of the node's clock."""
+        if self._started_ns is None:
+            self._started_ns = output.stamp_ns
+        self._output, self._sent_ns = output, output.stamp_ns
+        self._latencies_ns.append(now_ns - output.stamp_ns)
+
+    # ---------------------------------------------------------------- what it means
+
+    def causes(self, view: View) -> list[Status]:
+        """All statuses."""
+        return [
+            self._initialisation(view),
+            self._imu(view),
+            self._dvl(view),
+            self._process_noise(view),
+            self._time(view),
+            self._frames(view),
+            self._odometry(view),
+        ]
+
+    @property
+    def _waits_for(self) -> str:
+        """What an uninitialised filter waits for."""
+        initial = self._parameters.initial
+        waits_for = {
+            "parameters": "the first IMU sample",
+            "levelling": f"{initial.levelling_time:g} s of IMU samples at rest",
+            "topic": f"a message on {initial.topic}",
+            "set_odometry": "a message on set_odometry",
+        }[initial.mode]
+        if self._parameters.origin.source == "topic":
+            waits_for += " and a fix on gps/fix"
+        return waits_for
+
+    def _initialisation(self, view: View) -> Status:
+        status = Status("initialisation", "initialised")
+        told = ["set_odometry"]
+        if self._inputs.initial_topic is not None:
+            told.append(self._inputs.initial_topic)
+        if "gps/fix" in self._inputs.topics:
+            told.append("gps/fix")
+        if self._fold.latest is None:
+            status.complain(WARN, "waits", f"not initialised, waits for {self._waits_for}")
+        elif self._started_ns is not None:
+            status.summary = f"initialised, first output at stamp {self._started_ns / NS:.3f} s"
+        if count := view.recent["without_origin"]:
+            status.complain(
+                WARN,
+                "without origin",
+                f"{count} initial states in the last {RECENT:.0f} s came before the origin and "
+                "are not used: send them again after the fix",
+            )
+        view.show(status, *told)
+        view.refused(status, told)
+        return status
+
+    def _imu(self, view: View) -> Status:
+        status = Status("imu")
+        imu = self._parameters.imu
+        view.quiet(status, IMU, ERROR, "look at the IMU's driver, its topic and the connections")
+        view.refused(status, [IMU])
+        if count := view.recent["gaps"]:
+            status.complain(
+                WARN,
+                "gaps",
+                f"{count} gaps of more than {imu.max_gap:g} s in the last {RECENT:.0f} s: samples "
+                "are lost, look at the driver and the network; sigma grows by what was not seen",
+            )
+        view.show(status, IMU)
+        if len(self._imu_stamps) >= 10:
+            steps = np.diff(np.sort(np.array(self._imu_stamps)))
+            rate = NS / float(np.median(steps)) if np.median(steps) > 0.0 else inf
+            status.summary = f"{rate:.1f} Hz"
+            status.values["IMU rate of the stamps [Hz]"] = f"{rate:.2f}"
+            if abs(rate / imu.rate - 1.0) > RATE_TOLERANCE:
+                status.complain(
+                    WARN,
+                    "rate",
+                    f"imu.rate is {imu.rate:g} Hz, the stamps say {rate:.1f} Hz: set imu.rate, "
+                    "which scales the process noise",
+                )
+        self._show_counters(status, "gaps")
+        return status
+
+    def _dvl(self, view: View) -> Status:
+        status = Status("dvl")
+        prefix = f"rejected {UPDATES}: "
+        reasons = [key.removeprefix(prefix) for key in view.total if key.startswith(prefix)]
+        # One measurement in a thousand fails the gate by chance, and none is used before the start.
+        chance = view.recent[f"{prefix}gate"] < GATE_REJECTIONS
+        unworthy = ("not_initialised", "gate") if chance else ("not_initialised",)
+        view.refused(status, [UPDATES], [r for r in reasons if r not in unworthy])
+        view.refused(status, [topic for topic in DVL if topic in view.silence])
+        self._tell_outage(status, view)
+        for name, what in (
+            ("inflations", "was let grow after rejections"),
+            ("restarts", "was started again from the DVL after rejections"),
+        ):
+            if count := view.recent[name]:
+                status.complain(
+                    WARN,
+                    name,
+                    f"the velocity {what}, {count} times in the last {RECENT:.0f} s: look for "
+                    "what was wrong before, the DVL or the IMU",
+                )
+        view.show(status, *DVL)
+        for name in ("accepted", "rejected"):
+            status.values[f"DVL updates {name}"] = self.counts[f"DVL updates {name}"]
+        for reason in reasons:
+            status.values[prefix + reason] = view.total[prefix + reason]
+        if self._nis:
+            nis = float(np.mean(self._nis))
+            status.values[f"NIS, mean of {len(self._nis)}"] = f"{nis:.3f}"
+            status.summary = f"mean NIS {nis:.2f} (3 is expected)"
+        self._show_counters(status, "inflations", "restarts")
+        return status
+
+    def _tell_outage(self, status: Status, view: View) -> None:
+        """Complain where no measurement was used for long, in the time of the stamps."""
+        if self._started_ns is None:
+            return
+        since_ns = self._started_ns if self._accepted_ns is None else self._accepted_ns
+        outage_ns = self._sent_ns - since_ns
+        if outage_ns <= DVL_OUTAGE_NS:
+            return
+        received = sum(view.recent[f"received {topic}"] for topic in DVL)
+        why = (
+            f"{received} were received in the last {RECENT:.0f} s, see what was refused"
+            if received
+            else "none is received, look at the DVL's driver, its topic and the connections"
+        )
+        status.complain(
+            ERROR if outage_ns > DVL_LOST_NS else WARN,
+            "outage",
+            f"no DVL measurement used for {outage_ns / NS:.0f} s: {why}; the velocity's sigma is "
+            f"{self._velocity_sigma:.2f} m/s",
+        )
+
+    def _process_noise(self, view: View) -> Status:
+        noise = self._parameters.process_noise
+        status = Status("process noise", f"{noise.source}")
+        topic = Q_TOPICS.get(noise.source)
+        state = self._fold.latest
+        if state is not None:
+            sigma_f, sigma_w = (np.sqrt(np.diag(state[name])) for name in ("Q_f", "Q_w"))
+            for axis, f, w in zip("xyz", sigma_f, sigma_w, strict=True):
+                status.values[f"Q sigma f_{axis} [m/s^2]"] = f"{f:.6g}"
+                status.values[f"Q sigma w_{axis} [rad/s]"] = f"{w:.6g}"
+            told = topic is not None or noise.source == "message"
+            if told and int(state["q_ns"]) == NEVER:
+                status.values["Q age [s]"] = "nominal"
+                remedy = f"look at who publishes {topic or IMU}" + (
+                    ", the tuner" if noise.source == "external" else ""
+                )
+                status.complain(
+                    WARN,
+                    "nominal",
+                    f"no process noise for more than {self._parameters.q_timeout:g} s or none yet, "
+                    f"Q is nominal: {remedy}",
+                )
+            elif told:
+                age = (int(state["time_ns"]) - int(state["q_ns"])) / NS
+                status.values["Q age [s]"] = f"{age:.3f}"
+                status.summary = f"{noise.source}, {age:.1f} s old"
+        if topic is not None:
+            view.refused(status, [topic])
+            view.show(status, topic)
+        if count := view.recent["floors"]:
+            status.complain(
+                WARN,
+                "floors",
+                f"{count} times in the last {RECENT:.0f} s a Q below the floor was raised to it: "
+                "look at its sender, or lower process_noise.*_floor if the sensor is that good",
+            )
+        self._show_counters(status, "q_timeouts", "floors")
+        return status
+
+    def _time(self, view: View) -> Status:
+        status = Status("time", "stamps are in order")
+        view.refused(status, [*view.silence], OF_TIME)
+        status.values["newest IMU stamp [s]"] = (
+            "none" if self._fold.newest_ns == NEVER else f"{self._fold.newest_ns / NS:.3f}"
+        )
+        return status
+
+    def _frames(self, view: View) -> Status:
+        status = Status("frames", "nothing contradicts")
+        view.refused(status, [*view.silence], OF_FRAMES)
+        for topic, frame_id in self._frame_ids.items():
+            status.values[f"frame_id {topic}"] = frame_id
+            if count := view.recent[f"frame_id changes {topic}"]:
+                status.complain(
+                    WARN,
+                    f"changes {topic}",
+                    f"the frame_id of {topic} changed {count} times in the last {RECENT:.0f} s, it "
+                    f"is now '{frame_id}': two sensors on one topic? the *.frame_id parameters "
+                    "take one only",
+                )
+        return status
+
+    def _odometry(self, view: View) -> Status:
+        status = Status("output", "nothing yet")
+        view.show(status, ODOMETRY, "imu/bias", "dvl/innovation")
+        if self._output is None:
+            return status
+        status.values["velocity sigma [m/s]"] = f"{self._velocity_sigma:.4g}"
+        heading = float(np.degrees(np.sqrt(self._output.pose_covariance[5, 5])))
+        status.values["heading sigma [deg]"] = f"{heading:.4g}"
+        position = float(np.sqrt(np.diag(self._output.pose_covariance)[:2].max()))
+        status.values["position sigma, horizontal [m]"] = f"{position:.4g}"
+        status.summary = (
+            f"{view.rates[ODOMETRY]:.1f} Hz, velocity sigma {self._velocity_sigma:.3f} m/s"
+        )
+        samples = view.recent[f"received {IMU}"]
+        if samples and not view.recent[f"sent {ODOMETRY}"] and view.silence[IMU] < SILENT:
+            status.complain(
+                ERROR,
+                "stopped",
+                f"no odometry in the last {RECENT:.0f} s in spite of {samples} IMU messages: see "
+                "the other statuses, then call ~/reset",
+            )
+        self._tell_latency(status)
+        return status
+
+    def _tell_latency(self, status: Status) -> None:
+        """How old the stamps are when they are published, where stamps and clock agree at all."""
+        if not self._latencies_ns:
+            return
+        p50, p99 = np.percentile(self._latencies_ns, [50, 99])
+        self._latencies_ns.clear()
+        if abs(p50) >= CLOCK_AGREEMENT_NS:
+            return
+        status.values["latency p50 [ms]"] = f"{p50 / 1e6:.2f}"
+        status.values["latency p99 [ms]"] = f"{p99 / 1e6:.2f}"
+        if p50 - self._parameters.output_delay * NS > LATE_NS:
+            status.complain(
+                WARN,
+                "late",
+                f"odometry is published {p50 / NS:.1f} s after its stamp: the machine or the "
+                "network is too slow, or two clocks differ",
+            )
+
+    @property
+    def _velocity_sigma(self) -> float:
+        """Largest sigma of the velocity's axes in the last output [m/s]."""
+        if self._output is None:
+            return inf
+        return float(np.sqrt(np.diag(self._output.twist_covariance)[:3].max()))
+
+    def _show_counters(self, status: Status, *names: str) -> None:
+        counts = self._fold.counts
+        for name in names:
+            status.values[name] = counts[name]

@@ -1,0 +1,168 @@
+"""What becomes of a message by its topic: frames, stamps of zero, and the first initial state."""
+
+from types import SimpleNamespace as Message
+from typing import Any
+
+import numpy as np
+import pytest
+
+from insdvl.events import NS, Event, Imu, Initial, ProcessNoise
+from insdvl.inputs import Inputs
+from insdvl.messages import RejectedMessage
+from insdvl.parameters import FilterParameters, build
+from insdvl.state import NEVER
+
+NOW = 1_700_000_000 * NS
+
+
+def xyz(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Message:
+    return Message(x=x, y=y, z=z)
+
+
+def header(stamp_ns: int, frame_id: str) -> Message:
+    return Message(stamp=Message(sec=stamp_ns // NS, nanosec=stamp_ns % NS), frame_id=frame_id)
+
+
+def imu(stamp_ns: int = NOW, frame_id: str = "imu_link") -> Message:
+    return Message(
+        header=header(stamp_ns, frame_id),
+        linear_acceleration=xyz(z=9.8),
+        angular_velocity=xyz(),
+        linear_acceleration_covariance=np.eye(3).ravel(),
+        angular_velocity_covariance=np.eye(3).ravel(),
+    )
+
+
+def dvl(stamp_ns: int = NOW, frame_id: str = "dvl_link") -> Message:
+    return Message(header=header(stamp_ns, frame_id), twist=Message(linear=xyz(1.0)))
+
+
+def odometry(
+    stamp_ns: int = NOW, frame_id: str = "odom", child_frame_id: str = "base_link"
+) -> Message:
+    return Message(
+        header=header(stamp_ns, frame_id),
+        child_frame_id=child_frame_id,
+        pose=Message(
+            pose=Message(position=xyz(), orientation=Message(x=0.0, y=0.0, z=0.0, w=1.0)),
+            covariance=np.zeros(36),
+        ),
+        twist=Message(twist=Message(linear=xyz(), angular=xyz()), covariance=np.zeros(36)),
+    )
+
+
+def inputs(**values: Any) -> Inputs:
+    return Inputs(build(FilterParameters, {n.replace("__", "."): v for n, v in values.items()}))
+
+
+def events(of: Inputs, topic: str, message: Any, newest_ns: int = NOW) -> list[Event]:
+    return list(of.events(topic, message, newest_ns))
+
+
+def refused(of: Inputs, topic: str, message: Any, newest_ns: int = NOW) -> str:
+    with pytest.raises(RejectedMessage) as caught:
+        events(of, topic, message, newest_ns)
+    return caught.value.reason
+
+
+# ------------------------------------------------------------------ frames
+
+
+def test_a_declared_frame_is_the_only_one() -> None:
+    of = inputs(imu__frame_id="imu_link", dvl__frame_id="dvl_link")
+    assert len(events(of, "imu/data_raw", imu())) == 1
+    assert len(events(of, "dvl/velocity", dvl())) == 1
+    for wrong in ("", "other", "/imu_link"):
+        assert refused(of, "imu/data_raw", imu(frame_id=wrong)) == "wrong_frame"
+        assert refused(of, "dvl/velocity", dvl(frame_id=wrong)) == "wrong_frame"
+    with pytest.raises(RejectedMessage, match="frame_id is 'other', not 'imu_link'"):
+        events(of, "imu/data_raw", imu(frame_id="other"))
+    assert not of.frame_changes
+
+
+def test_a_frame_that_changes_is_counted_and_used() -> None:
+    of = inputs()
+    for frame_id in ("a", "a", "b", "b", "a"):
+        assert len(events(of, "imu/data_raw", imu(frame_id=frame_id))) == 1
+    assert of.frame_changes == {"imu/data_raw": 2}
+    assert of.frame_ids == {"imu/data_raw": "a"}
+
+
+@pytest.mark.parametrize(
+    ("frame_id", "child_frame_id", "fits"),
+    [
+        ("world", "hull", True),
+        ("", "", True),
+        ("world", "", True),
+        ("odom", "hull", False),
+        ("world", "base_link", False),
+    ],
+)
+def test_set_odometry_is_of_the_filters_own_frames(
+    frame_id: str, child_frame_id: str, fits: bool
+) -> None:
+    of = inputs(odom_frame="world", base_frame="hull")
+    message = odometry(frame_id=frame_id, child_frame_id=child_frame_id)
+    if fits:
+        assert len(events(of, "set_odometry", message)) == 1
+    else:
+        assert refused(of, "set_odometry", message) == "wrong_frame"
+
+
+# ------------------------------------------------------------------ zero
+
+
+def test_zero_is_no_stamp_for_a_sensor() -> None:
+    of = inputs()
+    assert refused(of, "imu/data_raw", imu(0), NEVER) == "no_stamp"
+    assert refused(of, "dvl/velocity", dvl(0), NEVER) == "no_stamp"
+
+
+def test_zero_is_a_stamp_where_time_begins_at_zero() -> None:
+    """A simulation tells its first Q and its first truth at 0."""
+    of = inputs(process_noise__source="external", initial__mode="topic", initial__topic="truth")
+    for newest_ns in (NEVER, 5 * NS):
+        (event,) = events(of, "process_noise", imu(0), newest_ns)
+        assert isinstance(event, ProcessNoise) and event.stamp_ns == 0
+        assert len(events(of, "truth", odometry(0), newest_ns)) == 1
+    assert refused(of, "process_noise", imu(0)) == "no_stamp"
+    assert refused(of, "truth", odometry(0)) == "no_stamp"
+
+
+def test_a_set_odometry_without_a_stamp_is_of_the_newest_sample() -> None:
+    of = inputs()
+    (event,) = events(of, "set_odometry", odometry(0))
+    assert event.stamp_ns == NOW
+
+
+def test_before_the_first_sample_it_waits_for_it() -> None:
+    of = inputs()
+    assert events(of, "set_odometry", odometry(0), NEVER) == []
+    sample, initial = events(of, "imu/data_raw", imu(), NEVER)
+    assert isinstance(sample, Imu) and isinstance(initial, Initial)
+    assert initial.stamp_ns == sample.stamp_ns == NOW
+    assert len(events(of, "imu/data_raw", imu(NOW + 1))) == 1
+
+
+# ------------------------------------------------------------------ the first of a topic
+
+
+def test_the_first_of_a_topic_and_what_is_late_are_given_on() -> None:
+    of = inputs(initial__mode="topic", initial__topic="truth", max_delay=1.0)
+    for stamp in (NOW, NOW - NS, NOW + NS):
+        assert len(events(of, "truth", odometry(stamp))) == 1
+    assert not of.initial_done
+    assert events(of, "truth", odometry(NOW + NS + 1)) == []
+    assert of.initial_done
+    assert events(of, "truth", odometry(NOW)) == []
+    of.reset()
+    assert len(events(of, "truth", odometry(NOW))) == 1
+
+
+def test_the_first_may_be_of_another_time_than_the_samples() -> None:
+    """The clock is set: whether the samples follow, the fold will see."""
+    of = inputs(initial__mode="topic", initial__topic="truth", max_delay=1.0)
+    assert len(events(of, "truth", odometry(NOW))) == 1
+    for stamp in (NOW + 3600 * NS, NOW - 3600 * NS):
+        assert len(events(of, "truth", odometry(stamp))) == 1
+    assert not of.initial_done
