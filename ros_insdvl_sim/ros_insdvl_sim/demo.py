@@ -617,7 +617,7 @@ def run_demo(options: argparse.Namespace) -> int:
         "rejected": rejected,
         "exit_codes": codes,
     }
-    files.write(out / "summary.json", files.json_text(numbers).encode())
+    files.write(out / "summary.json", (json.dumps(numbers, indent=2) + "\n").encode())
     print(f"\n{picture}\n{out / 'summary.json'}\n{wall_time:.1f} s in all")
     if options.record is not None:
         print(f"{listener.recorded.total()} messages in {options.record}")
