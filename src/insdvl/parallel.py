@@ -43,7 +43,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from insdvl.files import write
+from insdvl.files import arrays, write
 from insdvl.kernels import source_digest
 
 #: What a task gives.
@@ -201,8 +201,8 @@ def _remove(folder: Path) -> None:
 def _keep(path: Path, result: Result) -> None:
     """Write a result; the file is complete when it takes its name."""
     buffer = io.BytesIO()
-    arrays: dict[str, Any] = dict(result)
-    np.savez(buffer, **arrays)
+    named: dict[str, Any] = dict(result)
+    np.savez(buffer, **named)
     try:
         _write(path, buffer.getvalue())
     except FileNotFoundError:  # another program removed the folder after we had made it
@@ -217,11 +217,11 @@ def _write(path: Path, data: bytes) -> None:
 def _kept(path: Path) -> Result | None:
     """The result in a file, or None where it is missing or damaged."""
     try:
-        with np.load(path, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
+        data = path.read_bytes()
+        return arrays(data, len(data))  # they are kept without compression
     except FileNotFoundError:
         return None
-    except Exception as error:  # a damaged file raises whatever its bytes make numpy raise
+    except (OSError, ValueError) as error:
         _say(f"{path} is damaged ({error}) and computed again")
         return None
 
@@ -277,11 +277,11 @@ def _outcome(function: Function, shared: Any, task: Any, path: Path | None) -> _
 
 def _named_arrays(result: Result) -> Result:
     """The arrays, contiguous: a sum over them then has one order, wherever they come from."""
-    arrays = {name: np.asarray(array, order="C") for name, array in result.items()}
-    for name, array in arrays.items():
+    named = {name: np.asarray(array, order="C") for name, array in result.items()}
+    for name, array in named.items():
         if array.dtype.hasobject:
             raise TypeError(f"{name} is no array of numbers or text")
-    return arrays
+    return named
 
 
 class _LostWorkerError(Exception):
