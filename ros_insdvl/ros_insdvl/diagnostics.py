@@ -42,7 +42,7 @@ REMEDIES: Mapping[str, str] = MappingProxyType(
         "no_lock": "the DVL sends exact zeros: it has no bottom lock",
         "no_stamp": "the driver does not stamp its messages",
         "not_finite": "the sender sends NaN or infinities",
-        "out_of_range": "the position is none on the Earth",
+        "out_of_range": "the numbers are beyond all that is physical: another unit at the sender",
         "repeated": "the DVL repeats its last measurement: no bottom lock, or two publishers",
         "too_late": "they come more than max_delay behind the IMU: shorten the delay or raise it",
         "wrong_frame": "another sensor, or set the frame_id that is expected",

@@ -8,6 +8,7 @@ import sys
 from collections import Counter
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from insdvl.inputs import Q_TOPICS, Inputs
 from insdvl.odometry import Odometry as FilterOdometry
 from insdvl.odometry import biases
 from insdvl.parameters import FilterParameters
+from insdvl.state_file import StateFile
 from ros_insdvl.conversions import fill_bias, fill_innovation, fill_odometry
 from ros_insdvl.diagnostics import Status, View
 from ros_insdvl.filter_status import FilterWatch
@@ -72,7 +74,8 @@ class FilterNode(InsdvlNode[FilterParameters]):
         self._fold = Fold(parameters)
         self._inputs = Inputs(parameters)
         self._convention = CONVENTIONS[parameters.frame_convention]
-        self._watch = FilterWatch(parameters, self._inputs, self._fold)
+        self._state_file = self._resume()
+        self._watch = FilterWatch(parameters, self._inputs, self._fold, self._state_file)
 
         self._odometry = self.advertise(Odometry, "odometry/filtered")
         self._bias = self.advertise(Imu, "imu/bias")
@@ -88,6 +91,27 @@ class FilterNode(InsdvlNode[FilterParameters]):
         self._listen()
         self.start_diagnostics()
 
+    def _resume(self) -> StateFile | None:
+        """Go on from the state file, where there is one that fits."""
+        if not self.parameters.state_file:
+            return None
+        state_file = StateFile(Path(self.parameters.state_file), self._fold.filter)
+        log = self.get_logger()
+        record = state_file.load()
+        if state_file.unused is not None:
+            log.warning(f"{state_file.path} is not used, {state_file.unused}; {self._starts_anew}")
+        elif record is None:
+            log.info(f"{state_file.path} does not exist yet; {self._starts_anew}")
+        else:
+            self._fold.resume(record)
+            stamp = record[0]["imu_ns"] / NS
+            log.info(f"goes on from the state at stamp {stamp:.3f} s in {state_file.path}")
+        return state_file
+
+    @property
+    def _starts_anew(self) -> str:
+        return f"the filter starts as initial.mode says, '{self.parameters.initial.mode}'"
+
     def _listen(self) -> None:
         for topic, kind in self._inputs.topics.items():
             if topic not in self.inputs:
@@ -101,10 +125,8 @@ class FilterNode(InsdvlNode[FilterParameters]):
     def _receive(self, topic: str, message: Any) -> None:
         if topic == "imu/data_raw":
             self._bias_message.header.frame_id = message.header.frame_id
-            self._watch.frame(topic, message.header.frame_id)
         elif topic.startswith("dvl/"):
             self._innovation_message.header.frame_id = message.header.frame_id
-            self._watch.frame(topic, message.header.frame_id)
         try:
             for event in self._inputs.events(topic, message, self._fold.newest_ns):
                 refusal = self._fold.add(event)
@@ -114,6 +136,8 @@ class FilterNode(InsdvlNode[FilterParameters]):
                     self._watch.sampled(event.stamp_ns)
         finally:
             self._publish()
+        if self._state_file is not None and (state := self._fold.latest) is not None:
+            self._state_file.offer(state)
         if topic == self._inputs.initial_topic and self._inputs.initial_done:
             self.ignore(topic)
 
@@ -142,13 +166,15 @@ class FilterNode(InsdvlNode[FilterParameters]):
 
     def _follow(self, jump: TimeJump) -> None:
         """The fold has begun again in another time; so does what is kept here per time."""
-        self.get_logger().warning(
-            f"time jump from {jump.from_ns / NS:.3f} to {jump.to_ns / NS:.3f} s: "
-            "the filter starts again"
-        )
         self._begin_time()
+        if self._state_file is not None and self._state_file.left_at(jump.from_ns, jump.to_ns):
+            line = f"{self._state_file.path} is not used, {self._state_file.unused}"
+            self.get_logger().warning(f"{line}; {self._starts_anew}")
+        else:
+            self._watch.jumped(jump)
 
     def _begin_time(self) -> None:
+        """Forget what is kept here by stamps."""
         self._bias_second = None
         self._watch.reset()
         self._inputs.reset()
@@ -174,6 +200,8 @@ class FilterNode(InsdvlNode[FilterParameters]):
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._fold.reset()
         self._begin_time()
+        if self._state_file is not None:
+            self._state_file.remove()
         self.get_logger().info("reset: the filter is uninitialised")
         response.success = True
         response.message = f"uninitialised; initial.mode is {self.parameters.initial.mode}"
@@ -182,9 +210,8 @@ class FilterNode(InsdvlNode[FilterParameters]):
     # Diagnostics
 
     def counts(self) -> Counter[str]:
-        """Those of every node, the fold's, and what became of the updates."""
+        """Those of every node, and of the filter."""
         counts = super().counts()
-        counts.update(self._fold.counts)
         counts.update(self._watch.counts)
         return counts
 

@@ -6,11 +6,12 @@ from math import inf
 import numpy as np
 
 from insdvl.events import NS
-from insdvl.fold import AppliedUpdate, Fold
+from insdvl.fold import AppliedUpdate, Fold, TimeJump
 from insdvl.inputs import Q_TOPICS, Inputs
 from insdvl.odometry import Odometry
 from insdvl.parameters import FilterParameters
 from insdvl.state import NEVER
+from insdvl.state_file import StateFile
 from ros_insdvl.diagnostics import ERROR, OF_FRAMES, OF_TIME, RECENT, SILENT, WARN, Status, View
 
 #: Stamps and clock that differ by more than this are not of one time: no latency is told.
@@ -39,16 +40,32 @@ class FilterWatch:
         parameters: Of the filter.
         inputs: Of the filter.
         fold: Of the filter.
+        state_file: Where its state is kept, None for nowhere.
     """
 
-    def __init__(self, parameters: FilterParameters, inputs: Inputs, fold: Fold) -> None:
+    def __init__(
+        self,
+        parameters: FilterParameters,
+        inputs: Inputs,
+        fold: Fold,
+        state_file: StateFile | None = None,
+    ) -> None:
         self._parameters = parameters
         self._inputs = inputs
         self._fold = fold
-        #: Updates by what became of them, and changes of a frame_id.
-        self.counts: Counter[str] = Counter()
-        self._frame_ids: dict[str, str] = {}
+        self._state_file = state_file
+        self._updates: Counter[str] = Counter()
+        self._jump: TimeJump | None = None  # the last one
         self.reset()
+
+    @property
+    def counts(self) -> Counter[str]:
+        """What is counted here and in the fold, see `View`."""
+        counts = Counter(self._fold.counts)
+        counts.update({f"DVL updates {name}": n for name, n in self._updates.items()})
+        changes = self._inputs.frame_changes.items()
+        counts.update({f"frame_id changes {topic}": n for topic, n in changes})
+        return counts
 
     def reset(self) -> None:
         """A new time: what was remembered by stamps is forgotten."""
@@ -62,11 +79,9 @@ class FilterWatch:
 
     # ---------------------------------------------------------------- what happens
 
-    def frame(self, topic: str, frame_id: str) -> None:
-        """A sensor's message has this frame_id."""
-        if self._frame_ids.get(topic, frame_id) != frame_id:
-            self.counts[f"frame_id changes {topic}"] += 1
-        self._frame_ids[topic] = frame_id
+    def jumped(self, jump: TimeJump) -> None:
+        """The fold has followed the samples into another time."""
+        self._jump = jump
 
     def sampled(self, stamp_ns: int) -> None:
         """An IMU sample was taken."""
@@ -75,7 +90,7 @@ class FilterWatch:
     def updated(self, update: AppliedUpdate) -> None:
         """A DVL measurement was used, or not."""
         report = update.report
-        self.counts[f"DVL updates {'accepted' if report.accepted else 'rejected'}"] += 1
+        self._updates["accepted" if report.accepted else "rejected"] += 1
         self._nis.append(report.nis)
         if report.accepted:
             self._accepted_ns = update.stamp_ns
@@ -99,6 +114,7 @@ class FilterWatch:
             self._time(view),
             self._frames(view),
             self._odometry(view),
+            self._kept(),
         ]
 
     @property
@@ -133,8 +149,16 @@ class FilterWatch:
                 f"{count} initial states in the last {RECENT:.0f} s came before the origin and "
                 "are not used: send them again after the fix",
             )
+        if count := view.recent["too_old"]:
+            status.complain(
+                WARN,
+                "too old",
+                f"{count} initial states in the last {RECENT:.0f} s were of a time long before the "
+                "first IMU sample and are not used: look at the sender's clock",
+            )
         view.show(status, *told)
         view.refused(status, told)
+        self._show_counters(status, "without_origin", "too_old")
         return status
 
     def _imu(self, view: View) -> Status:
@@ -188,7 +212,7 @@ class FilterWatch:
                 )
         view.show(status, *DVL)
         for name in ("accepted", "rejected"):
-            status.values[f"DVL updates {name}"] = self.counts[f"DVL updates {name}"]
+            status.values[f"DVL updates {name}"] = self._updates[name]
         for reason in reasons:
             status.values[prefix + reason] = view.total[prefix + reason]
         if self._nis:
@@ -261,15 +285,39 @@ class FilterWatch:
     def _time(self, view: View) -> Status:
         status = Status("time", "stamps are in order")
         view.refused(status, [*view.silence], OF_TIME)
+        held = self._fold.held
+        if held is not None:
+            status.complain(
+                ERROR,
+                "held",
+                f"the IMU's stamps went from {held.from_ns / NS:.3f} to {held.to_ns / NS:.3f} s, "
+                "and jump_action is 'hold': correct the clock, or call ~/reset to go on there",
+            )
+        if view.recent["time_jumps"] and self._jump is not None:
+            status.complain(
+                WARN,
+                "jump",
+                f"the IMU's stamps went from {self._jump.from_ns / NS:.3f} to "
+                f"{self._jump.to_ns / NS:.3f} s, the filter has started again: look at the clocks, "
+                "and tell it where it is, if it cannot know",
+            )
+        if count := view.recent["given_up"]:
+            status.complain(
+                WARN,
+                "given up",
+                f"{count} messages in the last {RECENT:.0f} s waited for IMU samples of their time "
+                "until there were too many: look at the IMU and at the senders' clocks",
+            )
         status.values["newest IMU stamp [s]"] = (
             "none" if self._fold.newest_ns == NEVER else f"{self._fold.newest_ns / NS:.3f}"
         )
+        self._show_counters(status, "time_jumps", "recovered", "given_up")
         return status
 
     def _frames(self, view: View) -> Status:
         status = Status("frames", "nothing contradicts")
         view.refused(status, [*view.silence], OF_FRAMES)
-        for topic, frame_id in self._frame_ids.items():
+        for topic, frame_id in self._inputs.frame_ids.items():
             status.values[f"frame_id {topic}"] = frame_id
             if count := view.recent[f"frame_id changes {topic}"]:
                 status.complain(
@@ -322,6 +370,34 @@ class FilterWatch:
                 f"odometry is published {p50 / NS:.1f} s after its stamp: the machine or the "
                 "network is too slow, or two clocks differ",
             )
+
+    def _kept(self) -> Status:
+        status = Status("state file", "off: the parameter state_file is empty")
+        file = self._state_file
+        if file is None:
+            return status
+        status.summary = "not yet written"
+        if file.stamp_ns is not None:
+            status.summary = f"has the state at stamp {file.stamp_ns / NS:.3f} s"
+        if file.error is not None:
+            status.complain(
+                WARN,
+                "writing",
+                f"the state cannot be written to {file.path}: {file.error}; free the disk or "
+                "correct the folder, it is tried again; a filter that is started now does not go "
+                "on from here",
+            )
+        if file.unused is not None:
+            status.complain(
+                WARN,
+                "unused",
+                f"{file.path} was not used, {file.unused}: tell the filter where it is, if it "
+                "cannot know",
+            )
+        status.values["state file"] = file.path
+        status.values["state file writes"] = file.writes
+        status.values["state file failures"] = file.failures
+        return status
 
     @property
     def _velocity_sigma(self) -> float:

@@ -48,6 +48,8 @@ from insdvl.tuner.tuner import Tuner
 Array = NDArray[np.float64]
 
 TRUTH = "ground_truth/odometry"
+#: Samples of a recording: 28 hours at 100 Hz. The states of all of them are in memory, 3 kB each.
+MAX_SAMPLES = 10_000_000
 LAGS = 10
 
 
@@ -58,10 +60,16 @@ def read(path: Path, parameters: ReplayParameters) -> list[Raw]:
     """What is played of a recording, in the recorded order, on the topics of the nodes.
 
     Raises:
-        BagError: The recording cannot be read, or lacks the IMU or the DVL.
+        BagError: The recording cannot be read, lacks the IMU or the DVL, or is too long.
     """
     with BagReader(path) as bag:
         topics = bags.played(bag, parameters)
+        size = bag.topics[parameters.imu_topic].size
+        if size > MAX_SAMPLES:
+            raise BagError(
+                f"{path} has {size} messages on {parameters.imu_topic}, and at most {MAX_SAMPLES} "
+                "are read: split it"
+            )
         return [raw._replace(topic=topics[raw.topic]) for raw in bag.raw(topics)]
 
 
@@ -492,6 +500,9 @@ def run(arguments: argparse.Namespace) -> int:
     """Replay; the exit code is 2 where the input is refused, and then nothing is written."""
     try:
         _replay(arguments)
+    except MemoryError as error:
+        print(f"insdvl replay: {arguments.bag} needs too much memory: {error}", file=sys.stderr)
+        return 2
     except (ValueError, OSError) as error:
         sentence = " ".join(str(error).split())  # a YAML error comes in several lines
         print(f"insdvl replay: {sentence}", file=sys.stderr)

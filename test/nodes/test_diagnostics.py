@@ -10,7 +10,7 @@ import pytest
 
 from insdvl.events import NS, Imu, ProcessNoise
 from insdvl.filter import UpdateReport
-from insdvl.fold import AppliedUpdate, Fold
+from insdvl.fold import AppliedUpdate, Fold, TimeJump
 from insdvl.inputs import Inputs
 from insdvl.odometry import Odometry
 from insdvl.parameters import FilterParameters, build
@@ -47,9 +47,13 @@ class Filter:
     def samples(self, first: int, last: int, step_ns: int = NS // 100) -> None:
         for k in range(first, last):
             stamp = START_NS + k * step_ns
-            assert self.fold.add(Imu(stamp, np.array([0.0, 0.0, -9.8]), np.zeros(3))) is None
-            self.watch.sampled(stamp)
+            if self.fold.add(Imu(stamp, np.array([0.0, 0.0, -9.8]), np.zeros(3))) is None:
+                self.watch.sampled(stamp)
         for output in self.fold.take():
+            if isinstance(output, TimeJump):
+                self.watch.reset()
+                self.watch.jumped(output)
+                continue
             assert isinstance(output, Odometry)
             self.watch.published(output, output.stamp_ns + 2_000_000)
             self.counts["sent odometry/filtered"] += 1
@@ -59,7 +63,7 @@ class Filter:
     def look(self, seconds: float = 1.0) -> dict[str, Status]:
         """The statuses some seconds later."""
         self.now += seconds
-        self.recent.look(self.now, self.counts + Counter(self.fold.counts) + self.watch.counts)
+        self.recent.look(self.now, self.counts + self.watch.counts)
         rates = dict.fromkeys(
             ("odometry/filtered", "imu/bias", *self.silence, "dvl/innovation"), 0.0
         )
@@ -122,6 +126,7 @@ REFUSALS = [
     ("process_noise", "bad_covariance", "process noise"),
     ("process_noise", "too_late", "time"),
     ("set_odometry", "bad_quaternion", "initialisation"),
+    ("set_odometry", "out_of_range", "initialisation"),
 ]
 
 
@@ -216,11 +221,34 @@ def test_late_output_is_told_where_the_clocks_agree() -> None:
         assert wrong(f.look()) == expected
 
 
+def test_a_time_jump_is_told_with_both_stamps() -> None:
+    f = Filter()
+    f.samples(1, 101)
+    f.look()
+    f.samples(100_001, 100_101)
+    statuses = f.look()
+    assert wrong(statuses) == {"time": WARN}
+    assert "went from 1700000001.000 to 1700001000.010 s" in statuses["time"].message
+    assert wrong(f.look(10.0)) == {}
+
+
+def test_a_jump_that_is_held_is_an_error_until_the_old_time_comes_again() -> None:
+    f = Filter(jump_action="hold")
+    f.samples(1, 101)
+    f.look()
+    f.samples(100_001, 100_101)
+    statuses = f.look()
+    assert wrong(statuses) == {"time": ERROR}
+    assert "call ~/reset" in statuses["time"].message
+    f.samples(101, 102)
+    assert wrong(f.look()) == {}
+
+
 def test_a_changing_frame_is_told() -> None:
     f = Filter()
     f.samples(1, 21)
-    for frame in ("imu_link", "imu_link", "other", "imu_link"):
-        f.watch.frame("imu/data_raw", frame)
+    f.inputs.frame_ids["imu/data_raw"] = "imu_link"
+    f.inputs.frame_changes["imu/data_raw"] = 2
     statuses = f.look()
     assert wrong(statuses) == {"frames": WARN}
     assert "imu/data_raw changed 2 times" in statuses["frames"].message

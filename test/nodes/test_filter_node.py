@@ -483,6 +483,7 @@ def test_statuses_are_named_by_node_and_cause(graph: Any) -> None:
         "time",
         "frames",
         "output",
+        "state file",
         "connections",
         "unexpected errors",
     ]
