@@ -169,7 +169,7 @@ class StateFile:
         """
         if self._loaded_ns != stamp_ns:
             return False
-        self._loaded_ns = None
+        self._loaded_ns = self._tried_ns = None
         limit = self._filter.parameters.jump_limit
         self.unused = (
             f"it is of stamp {stamp_ns / NS:.3f} s and the first sample of {to_ns / NS:.3f} s, "
