@@ -5,11 +5,12 @@ from math import inf
 
 import numpy as np
 
-from insdvl.events import NS
+from insdvl.events import NS, Event, Imu
 from insdvl.fold import AppliedUpdate, Fold, TimeJump
 from insdvl.inputs import Q_TOPICS, Inputs
 from insdvl.odometry import Odometry
 from insdvl.parameters import FilterParameters
+from insdvl.plausibility import FrameCheck
 from insdvl.state import NEVER
 from insdvl.state_file import StateFile
 from ros_insdvl.diagnostics import ERROR, OF_FRAMES, OF_TIME, RECENT, SILENT, WARN, Status, View
@@ -69,6 +70,7 @@ class FilterWatch:
 
     def reset(self) -> None:
         """A new time: what was remembered by stamps is forgotten."""
+        self._frame_check = FrameCheck(self._parameters)
         self._nis: deque[float] = deque(maxlen=100)
         self._imu_stamps: deque[int] = deque(maxlen=200)
         self._latencies_ns: deque[int] = deque(maxlen=10_000)
@@ -81,9 +83,11 @@ class FilterWatch:
         """The fold has followed the samples into another time."""
         self._jump = jump
 
-    def sampled(self, stamp_ns: int) -> None:
-        """An IMU sample was taken."""
-        self._imu_stamps.append(stamp_ns)
+    def took(self, event: Event) -> None:
+        """The fold took an event."""
+        self._frame_check.add(event)
+        if isinstance(event, Imu):
+            self._imu_stamps.append(event.stamp_ns)
 
     def updated(self, update: AppliedUpdate) -> None:
         """A DVL measurement was used, or not."""
@@ -317,6 +321,8 @@ class FilterWatch:
     def _frames(self, view: View) -> Status:
         status = Status("frames", "nothing contradicts")
         view.refused(status, [*view.silence], OF_FRAMES)
+        for finding in self._frame_check.findings():
+            status.complain(ERROR, "axes", finding)
         for topic, frame_id in self._inputs.frame_ids.items():
             status.values[f"frame_id {topic}"] = frame_id
             if count := view.recent[f"frame_id changes {topic}"]:

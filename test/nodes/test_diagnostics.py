@@ -46,8 +46,9 @@ class Filter:
     def samples(self, first: int, last: int, step_ns: int = NS // 100) -> None:
         for k in range(first, last):
             stamp = START_NS + k * step_ns
-            if self.fold.add(Imu(stamp, np.array([0.0, 0.0, -9.8]), np.zeros(3))) is None:
-                self.watch.sampled(stamp)
+            sample = Imu(stamp, np.array([0.0, 0.0, -9.8]), np.zeros(3))
+            if self.fold.add(sample) is None:
+                self.watch.took(sample)
         for output in self.fold.take():
             if isinstance(output, TimeJump):
                 self.watch.reset()
@@ -265,6 +266,17 @@ def test_a_changing_frame_is_told() -> None:
     assert "imu/data_raw changed 2 times" in statuses["frames"].message
     f.samples(21, 22)
     assert wrong(f.look(10.0)) == {}
+
+
+def test_wrong_axes_are_an_error_until_the_time_begins_again() -> None:
+    f = Filter()
+    for k in range(2500):
+        f.watch.took(Imu(k * NS // 100, np.array([0.0, 0.0, 9.8]), np.zeros(3)))
+    statuses = f.look()
+    assert wrong(statuses)["frames"] == ERROR
+    assert "gravity has the wrong sign along z" in statuses["frames"].message
+    f.watch.reset()
+    assert "frames" not in wrong(f.look())
 
 
 def test_the_page_has_every_status_and_every_reason() -> None:
