@@ -75,8 +75,6 @@ class FilterWatch:
         self._imu_stamps: deque[int] = deque(maxlen=200)
         self._latencies_ns: deque[int] = deque(maxlen=10_000)
         self._started_ns: int | None = None  # stamp of the first output
-        self._sent_ns = 0  # stamp of the last one
-        self._accepted_ns: int | None = None  # stamp of the last DVL measurement that was used
         self._output: Odometry | None = None
 
     # ---------------------------------------------------------------- what happens
@@ -96,14 +94,12 @@ class FilterWatch:
         report = update.report
         self._updates["accepted" if report.accepted else "rejected"] += 1
         self._nis.append(report.nis)
-        if report.accepted:
-            self._accepted_ns = update.stamp_ns
 
     def published(self, output: Odometry, now_ns: int) -> None:
         """Odometry was published at a time of the node's clock."""
         if self._started_ns is None:
             self._started_ns = output.stamp_ns
-        self._output, self._sent_ns = output, output.stamp_ns
+        self._output = output
         self._latencies_ns.append(now_ns - output.stamp_ns)
 
     # ---------------------------------------------------------------- what it means
@@ -228,10 +224,12 @@ class FilterWatch:
 
     def _tell_outage(self, status: Status, view: View) -> None:
         """Complain where no measurement was used for long, in the time of the stamps."""
-        if self._started_ns is None:
+        state = self._fold.latest
+        if state is None or self._started_ns is None:
             return
-        since_ns = self._started_ns if self._accepted_ns is None else self._accepted_ns
-        outage_ns = self._sent_ns - since_ns
+        accepted_ns = int(state["accepted_ns"])
+        since_ns = self._started_ns if accepted_ns == NEVER else accepted_ns
+        outage_ns = int(state["time_ns"]) - since_ns
         if outage_ns <= DVL_OUTAGE_NS:
             return
         received = sum(view.recent[f"received {topic}"] for topic in DVL)
@@ -276,14 +274,16 @@ class FilterWatch:
         if topic is not None:
             view.refused(status, [topic])
             view.show(status, topic)
-        if count := view.recent["floors"]:
-            status.complain(
-                WARN,
-                "floors",
-                f"{count} times in the last {RECENT:.0f} s a Q below the floor was raised to it: "
-                "look at its sender, or lower process_noise.*_floor if the sensor is that good",
-            )
-        self._show_counters(status, "q_timeouts", "floors")
+        for name, limit, sensor in (("floors", "below", "good"), ("ceilings", "above", "bad")):
+            if count := view.recent[name]:
+                status.complain(
+                    WARN,
+                    name,
+                    f"{count} times in the last {RECENT:.0f} s a Q {limit} the {name[:-1]} was "
+                    f"brought to it: look at its sender, or set process_noise.*_{name[:-1]} if the "
+                    f"sensor is that {sensor}",
+                )
+        self._show_counters(status, "q_timeouts", "floors", "ceilings")
         return status
 
     def _time(self, view: View) -> Status:

@@ -64,6 +64,7 @@ class Witness:
         counts: Messages received, by topic.
         values: All values of the last diagnostics of every node, by its name.
         statuses: Level and message of every status, by its name.
+        tellings: How often each node has told its statuses.
         told: Every level and message that was new, with the time of the wall: (time, name, level,
             message).
     """
@@ -77,6 +78,7 @@ class Witness:
         self.counts: Counter[str] = Counter()
         self.values: dict[str, dict[str, str]] = {}
         self.statuses: dict[str, tuple[int, str]] = {}
+        self.tellings: Counter[str] = Counter()
         self.told: list[tuple[float, str, int, str]] = []
         subscribe(self.node, DiagnosticArray, "/diagnostics", self._on_diagnostics, publisher_qos())
 
@@ -102,6 +104,7 @@ class Witness:
             values = fresh.setdefault(name.split(": ")[0], {})
             values.update({item.key: item.value for item in status.values})
         self.values.update(fresh)
+        self.tellings.update(fresh.keys())
 
     def value(self, node: str, key: str) -> int:
         """A count of a node's last diagnostics, 0 where it tells none."""

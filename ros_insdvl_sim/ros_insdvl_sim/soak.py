@@ -133,7 +133,7 @@ class Graph:
             },
         )
         self.witness.until(
-            lambda: CONSUMERS.values() <= self.witness.values.keys(), "filter and tuner"
+            lambda: set(CONSUMERS.values()) <= self.witness.values.keys(), "filter and tuner"
         )
 
     def fly(self, number: int, duration: float) -> dict[str, Any]:
@@ -163,7 +163,7 @@ class Graph:
                 "imu.gyroscope_bias_walk": 0.0,
             },
         )
-        looks: list[tuple[float, float, float]] = []
+        looks: list[tuple[float, ...]] = []
         first = None
         while self.processes.process(name).poll() is None:
             witness.spin(LOOK_PERIOD if duration > 600.0 else 0.2)

@@ -38,6 +38,9 @@ from insdvl.state import (
 Array = NDArray[np.float64]
 Records = NDArray[np.void]
 
+#: A measurement whose NIS is so many times the gate's limit is surely an error of the DVL.
+FAULT = 1.5
+
 
 @dataclass(frozen=True)
 class UpdateReport:
@@ -49,8 +52,10 @@ class UpdateReport:
         nis: Normalised innovation squared, chi-square with 3 degrees of freedom when all is well;
             of the filter's own prediction also where the update adapts it.
         accepted: Whether the state was corrected.
-        reason: Empty, or why not: ``gate``, ``not_initialised``, ``bad_covariance``; ``restarted``
-            where the velocity was set to the measured one.
+        reason: Empty, or why not: ``gate``; ``bad_covariance`` (S is not positive definite);
+            ``not_finite`` (the NIS is beyond all numbers). ``restarted`` where the velocity was set
+            to the measured one. With ``not_initialised``, ``no_lock`` and ``repeated`` (see
+            ``dvl.lock_check``) nothing was predicted: innovation, S and NIS are nan.
     """
 
     innovation: Array
@@ -58,6 +63,10 @@ class UpdateReport:
     nis: float
     accepted: bool
     reason: str
+
+
+#: The states that the noise of the samples drives are those before this one.
+_INPUT = ATTITUDE.stop
 
 
 @kernel
@@ -101,10 +110,11 @@ def _advance(
         w.Q_d[:] = 0.0  # Q_x fills elements that input_noise leaves alone
     error_state.input_noise(s, w, c, Q_f, Q_w, dt)
     if adaptive:
-        if c.literal:
-            w.Q_d[:] = 0.0
         for i in range(s.Q_x.shape[0]):
             for j in range(s.Q_x.shape[0]):
+                # In place of the nominal Q, but not of the motion that was not seen.
+                if c.literal and (i >= _INPUT or j >= _INPUT):
+                    w.Q_d[i, j] = 0.0
                 w.Q_d[i, j] += dt * s.Q_x[i, j]
     error_state.propagate(s.P, w)
     s.time_ns = to_ns
@@ -193,6 +203,7 @@ class Filter:
         self._initial = self._initial_from_parameters()
         gate = parameters.gate
         self._gate = float(chi2.ppf(gate.probability, 3)) if gate.enabled else np.inf
+        self._patience_ns = round(gate.max_rejection_time * NS)
         self.process_noise = ProcessNoiseSource(parameters, self.C_b_i)
 
         self._workspace = np.zeros(1, workspace_type(self.n))
@@ -304,7 +315,8 @@ class Filter:
         if s["imu_ns"] == NEVER:
             s["imu_ns"] = stamp_ns  # samples are missing from here on: a long wait is a gap
         s["time_ns"], s["initialised"] = stamp_ns, 1
-        s["rejections"], s["innovation_count"], s["Q_x"] = 0, 0, 0.0
+        s["innovation_count"], s["Q_x"] = 0, 0.0
+        self._trust_dvl(s)
 
     def _body_axes(self, values: tuple[float, ...]) -> Array:
         return CONVENTIONS[self.parameters.frame_convention].body @ np.array(values)
@@ -385,9 +397,11 @@ class Filter:
             samples: Number of samples in that mean.
         """
         s = state[0]
+        reason = self._lock_loss(s, dvl)
         if not s["initialised"]:
-            nothing = np.full(3, np.nan)
-            return UpdateReport(nothing, np.full((3, 3), np.nan), np.nan, False, "not_initialised")
+            reason = "not_initialised"
+        if reason:
+            return UpdateReport(np.full(3, np.nan), np.full((3, 3), np.nan), np.nan, False, reason)
         Q_w_mean = self.sample_variance_w(s) / samples
         R = (self._R_default if dvl.R is None else dvl.R) + self._l_x @ Q_w_mean @ self._l_x.T
         R = (R + R.T) / 2
@@ -395,16 +409,20 @@ class Filter:
         w = self._workspace[0]
         innovation, S = w["innovation"].copy(), w["S"].copy()
         if not np.isfinite(nis):
-            return UpdateReport(innovation, S, nis, False, "bad_covariance")
+            reason = "bad_covariance" if np.isnan(nis) else "not_finite"
+            return UpdateReport(innovation, S, nis, False, reason)
         accepted, reason = True, ""
-        if nis > self._gate:
-            accepted, reason = self._recover(state, dvl, innovation, R)
+        goes_on = self._goes_on(s, dvl, nis, innovation, S, R)
+        if goes_on or nis > self._gate:
+            if goes_on or nis > FAULT * self._gate:
+                s["fault"], s["fault_ns"] = innovation, dvl.stamp_ns
+            accepted, reason = self._recover(s, dvl, innovation, R)
         else:
             if self.process_noise.tau is not None:
                 s["P"] = variational(s["P"], w["H"], R, innovation, self.process_noise.tau)
                 _innovate(state, self._workspace, self.constants, dvl.v_d, w_ib_b, R)
             _correct(state, self._workspace, self.constants, R)
-            s["rejections"] = 0
+            self._accepted(s, dvl.stamp_ns)
             self.process_noise.innovated(s, w["K"], innovation)
         s["dvl_ns"] = dvl.stamp_ns
         return UpdateReport(innovation, S, float(nis), accepted, reason)
@@ -414,17 +432,65 @@ class Filter:
         c = self.constants[0]
         return s["Q_w"] * (c["density"] * c["rate"])
 
-    def _recover(self, state: Records, dvl: Dvl, innovation: Array, R: Array) -> tuple[bool, str]:
+    def _lock_loss(self, s: State, dvl: Dvl) -> str:
+        """What says that the DVL has not measured: ``no_lock``, ``repeated``; else nothing."""
+        if not self.parameters.dvl.lock_check:
+            return ""
+        repeated = bool((dvl.v_d == s["v_d"]).all())
+        s["v_d"] = dvl.v_d
+        if not dvl.v_d.any():
+            return "no_lock"
+        return "repeated" if repeated else ""
+
+    def _goes_on(
+        self, s: State, dvl: Dvl, nis: float, innovation: Array, S: Array, R: Array
+    ) -> bool:
+        """Whether a measurement is more likely an error that goes on than a good one.
+
+        The uncertainty grows while the DVL is rejected, until what was an error fits as well. But
+        an error that goes on repeats the last innovation, to within the noise of the DVL and what
+        the IMU may have drifted in between: the more likely of the two explanations holds.
+        """
+        known = s["fault_ns"] != NEVER
+        if not known or dvl.stamp_ns - s["rejected_from_ns"] >= self._patience_ns:
+            return False
+        dt = (dvl.stamp_ns - s["fault_ns"]) / NS
+        C, P, Q_f = s["C_n_b"], s["P"], s["Q_f"]
+        g_x = error_state.cross_matrix(self._workspace[0]["g_n"])
+        acceleration = g_x @ P[ATTITUDE, ATTITUDE] @ g_x.T
+        acceleration += C @ P[ACCELEROMETER_BIAS, ACCELEROMETER_BIAS] @ C.T
+        drift = dt**2 * acceleration + dt * self.constants[0]["density"] * (C @ Q_f @ C.T)
+        C_n_d = C @ self.C_b_d
+        S_step = 2.0 * R + C_n_d.T @ drift @ C_n_d
+        step = innovation - s["fault"]
+        return bool(
+            step @ np.linalg.solve(S_step, step) + np.linalg.slogdet(S_step)[1]
+            < nis + np.linalg.slogdet(S)[1]
+        )
+
+    def _accepted(self, s: State, stamp_ns: int) -> None:
+        s["accepted_ns"] = stamp_ns
+        self._trust_dvl(s)
+
+    def _trust_dvl(self, s: State) -> None:
+        s["rejections"] = 0
+        s["rejected_from_ns"] = s["rejected_ns"] = s["fault_ns"] = NEVER
+
+    def _recover(self, s: State, dvl: Dvl, innovation: Array, R: Array) -> tuple[bool, str]:
         """Reject, but not for ever: inflate the velocity covariance, then restart the velocity."""
-        s = state[0]
+        if s["rejections"] == 0:
+            s["rejected_from_ns"] = s["rejected_ns"] = dvl.stamp_ns
+        since_ns = dvl.stamp_ns - int(s["rejected_from_ns"])
+        inflated = s["rejected_ns"] - s["rejected_from_ns"] >= self._patience_ns
         s["rejections"] += 1
-        limit = self.parameters.gate.max_rejections
-        if s["rejections"] == limit:
+        s["rejected_ns"] = dvl.stamp_ns
+        if not inflated and since_ns >= self._patience_ns:
             s["P"][VELOCITY, VELOCITY] += np.eye(3) * (innovation @ innovation)
             s["inflations"] += 1
-        if s["rejections"] < 2 * limit:
+        if not inflated or since_ns < 2 * self._patience_ns:
             return False, "gate"
-        # Velocity from this measurement alone, independent of all else.
+        # Velocity from this measurement alone, independent of all else; as uncertain as the two
+        # are apart, for one of them is wrong.
         C_n_d = s["C_n_b"] @ self.C_b_d
         s["v_n"] += C_n_d @ innovation
         P = s["P"]
@@ -433,9 +499,11 @@ class Filter:
         T = error_state.from_ordinary_errors(
             s["C_n_b"], s["v_n"], invariant=self.invariant, velocity_frame="body", n=self.n
         )
-        P[VELOCITY, VELOCITY] = self.C_b_d @ R @ self.C_b_d.T
+        doubt = R + np.outer(innovation, innovation)
+        P[VELOCITY, VELOCITY] = self.C_b_d @ doubt @ self.C_b_d.T
         P[:] = T @ P @ T.T
-        s["rejections"] = 0
+        P[:] = (P + P.T) / 2
+        self._accepted(s, dvl.stamp_ns)
         s["restarts"] += 1
         return True, "restarted"
 

@@ -275,6 +275,11 @@ class DvlParameters:
         low=1e-6,
         length=3,
     )
+    lock_check: bool = parameter(
+        True,
+        "Refuse a velocity of exactly zero ('no_lock') and one with exactly the bits of the "
+        "measurement before it ('repeated'): what a DVL without bottom lock reports.",
+    )
     gyro_average: float = parameter(
         0.25,
         "The turn rate for the lever arm is the mean over this time, ending at the stamp.",
@@ -306,11 +311,13 @@ class GateParameters:
         above=0.5,
         high=1.0 - 1e-12,
     )
-    max_rejections: int = parameter(
-        5,
-        "After this many rejections in a row the velocity covariance is inflated; after as many "
-        "more the velocity is initialised again from the DVL.",
-        low=1,
+    max_rejection_time: float = parameter(
+        60.0,
+        "When nothing but rejections came for this time (in stamps) the velocity covariance is "
+        "inflated; after twice this time the velocity is initialised again from the DVL.",
+        unit="s",
+        above=0.0,
+        high=3600.0,
     )
 
 
@@ -354,6 +361,20 @@ class ProcessNoiseParameters:
         unit="(rad/s)^2",
         low=0.0,
     )
+    accelerometer_ceiling: float = parameter(
+        100.0,
+        "Largest variance that an external or message Q may set; counted when it acts.",
+        unit="(m/s^2)^2",
+        above=0.0,
+        high=1e6,
+    )
+    gyroscope_ceiling: float = parameter(
+        10.0,
+        "Largest variance that an external or message Q may set; counted when it acts.",
+        unit="(rad/s)^2",
+        above=0.0,
+        high=1e6,
+    )
     adaptive_window: int = parameter(
         5, "Number of innovations averaged by the adaptive source (xi).", low=1, high=1000
     )
@@ -370,6 +391,15 @@ class ProcessNoiseParameters:
         above=0.0,
         high=1e6,
     )
+
+    def __post_init__(self) -> None:
+        for sensor in ("accelerometer", "gyroscope"):
+            floor, ceiling = (getattr(self, f"{sensor}_{end}") for end in ("floor", "ceiling"))
+            if floor > ceiling:
+                raise ParameterError(
+                    f"parameter 'process_noise.{sensor}_floor' must be at most {sensor}_ceiling "
+                    f"({ceiling:g}), got {floor!r}"
+                )
 
 
 @dataclass(frozen=True)

@@ -26,15 +26,21 @@ def nominal(parameters: ProcessNoiseParameters, C_b_i: Array) -> tuple[Array, Ar
     return Q_f, Q_w
 
 
-def floored(Q: Array, floor: float) -> tuple[Array, bool]:
-    """A covariance (3, 3) with no variance below a floor in any direction, and whether it acted."""
-    if np.count_nonzero(Q - np.diag(np.diagonal(Q))) == 0:
-        diagonal = np.diagonal(Q)
-        return np.diag(np.maximum(diagonal, floor)), bool((diagonal < floor).any())
+def bounded(Q: Array, floor: float, ceiling: float) -> tuple[Array, bool, bool]:
+    """A covariance (3, 3) with every variance, in any direction, between a floor and a ceiling.
+
+    Returns:
+        The covariance, whether the floor acted, and whether the ceiling did.
+    """
+    diagonal = np.diagonal(Q)
+    if np.count_nonzero(Q - np.diag(diagonal)) == 0:
+        low, high = bool((diagonal < floor).any()), bool((diagonal > ceiling).any())
+        return np.diag(np.clip(diagonal, floor, ceiling)), low, high
     variances, axes = np.linalg.eigh(Q)
-    if variances[0] >= floor:
-        return Q, False
-    return (axes * np.maximum(variances, floor)) @ axes.T, True
+    low, high = bool(variances[0] < floor), bool(variances[-1] > ceiling)
+    if not (low or high):
+        return Q, False, False
+    return (axes * np.clip(variances, floor, ceiling)) @ axes.T, low, high
 
 
 #: Towards the fixed point of `variational`: what five leave to do is below a millionth of P.
@@ -94,19 +100,21 @@ class ProcessNoiseSource:
 
     def told(self, s: State, stamp_ns: int, Q_f: Array | None, Q_w: Array | None) -> None:
         """A Q in IMU axes takes effect; a part that is None (unknown) is nominal from now on."""
-        acted = False
+        p, C = self._parameters, self._C_b_i
+        low_f = high_f = low_w = high_w = False
         if Q_f is None:
             Q_f = self.Q_f_nominal
         else:
-            Q_f, low = floored(Q_f, self._parameters.accelerometer_floor)
-            Q_f, acted = self._C_b_i @ Q_f @ self._C_b_i.T, acted or low
+            Q_f, low_f, high_f = bounded(Q_f, p.accelerometer_floor, p.accelerometer_ceiling)
+            Q_f = C @ Q_f @ C.T
         if Q_w is None:
             Q_w = self.Q_w_nominal
         else:
-            Q_w, low = floored(Q_w, self._parameters.gyroscope_floor)
-            Q_w, acted = self._C_b_i @ Q_w @ self._C_b_i.T, acted or low
+            Q_w, low_w, high_w = bounded(Q_w, p.gyroscope_floor, p.gyroscope_ceiling)
+            Q_w = C @ Q_w @ C.T
         s["Q_f"], s["Q_w"], s["q_ns"] = Q_f, Q_w, stamp_ns
-        s["floors"] += int(acted)
+        s["floors"] += int(low_f or low_w)
+        s["ceilings"] += int(high_f or high_w)
 
     def innovated(self, s: State, K: Array, innovation: Array) -> None:
         """After an accepted update the adaptive source estimates Q from the last xi innovations.

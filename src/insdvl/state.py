@@ -64,9 +64,18 @@ def state_type(n: int, window: int) -> np.dtype[np.void]:
             ("Q_x", "f8", (adaptive, adaptive)),
             ("innovations", "f8", (window, 3)),
             ("innovation_count", "i8"),
-            # Gate, and the stamp of the last DVL measurement
-            ("rejections", "i8"),  # in a row
+            # DVL: stamps of the last measurement that the gate judged and of the last it accepted,
+            # and the last reading, nan before the first
             ("dvl_ns", "i8"),
+            ("accepted_ns", "i8"),
+            ("v_d", "f8", (3,)),
+            # Gate: rejections in a row, stamps of the first and of the last
+            ("rejections", "i8"),
+            ("rejected_from_ns", "i8"),
+            ("rejected_ns", "i8"),
+            # Innovation and stamp of the last of them that was surely an error of the DVL
+            ("fault", "f8", (3,)),
+            ("fault_ns", "i8"),
             # Levelling: sum of the specific force, number of samples, stamp of the first
             ("level_f", "f8", (3,)),
             ("level_count", "i8"),
@@ -75,6 +84,7 @@ def state_type(n: int, window: int) -> np.dtype[np.void]:
             ("gaps", "i8"),
             ("q_timeouts", "i8"),
             ("floors", "i8"),
+            ("ceilings", "i8"),
             ("inflations", "i8"),
             ("restarts", "i8"),
             ("without_origin", "i8"),
@@ -89,6 +99,7 @@ COUNTERS = (
     "gaps",
     "q_timeouts",
     "floors",
+    "ceilings",
     "inflations",
     "restarts",
     "without_origin",
@@ -99,9 +110,13 @@ COUNTERS = (
 def empty_state(n: int, window: int) -> NDArray[np.void]:
     """One state record, in an array of length 1, of a filter to which nothing has happened."""
     states = np.zeros(1, state_type(n, window))
-    for name in ("time_ns", "imu_ns", "q_ns", "dvl_ns", "level_ns"):
+    stamps = (
+        *("time_ns", "imu_ns", "q_ns", "level_ns"),
+        *("dvl_ns", "accepted_ns", "rejected_from_ns", "rejected_ns", "fault_ns"),
+    )
+    for name in stamps:
         states[name] = NEVER
-    for name in ("lat_0", "lon_0", "h_0"):
+    for name in ("lat_0", "lon_0", "h_0", "v_d"):
         states[name] = np.nan
     return states
 

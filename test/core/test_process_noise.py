@@ -19,9 +19,10 @@ from insdvl.parameters import (
     GateParameters,
     ImuParameters,
     InitialParameters,
+    ParameterError,
     ProcessNoiseParameters,
 )
-from insdvl.process_noise import floored
+from insdvl.process_noise import bounded
 
 RATE = 100.0
 NS_STEP = 10_000_000
@@ -164,15 +165,39 @@ def test_the_floor_holds_each_axis_and_is_counted() -> None:
 
 def test_the_floor_holds_every_direction_of_a_rotated_q() -> None:
     axes = Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix()
-    Q, acted = floored(axes @ np.diag([1e-9, 1e-2, 1e-4]) @ axes.T, 1e-3)
-    assert acted
+    Q, *acted = bounded(axes @ np.diag([1e-9, 1e-2, 1e-4]) @ axes.T, 1e-3, 1.0)
+    assert acted == [True, False]
     np.testing.assert_allclose(
         Q, axes @ np.diag([1e-3, 1e-2, 1e-3]) @ axes.T, rtol=1e-9, atol=1e-15
     )
     same = axes @ np.diag([1e-3, 1e-2, 2e-3]) @ axes.T
-    Q, acted = floored(same, 0.9e-3)
-    assert not acted
+    Q, *acted = bounded(same, 0.9e-3, 1.1e-2)
+    assert acted == [False, False]
     np.testing.assert_array_equal(Q, same)
+
+
+def test_the_ceiling_holds_every_direction_and_is_counted() -> None:
+    """One sample that is far off makes the told variance as large as itself."""
+    axes = Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix()
+    Q, *acted = bounded(axes @ np.diag([1e-9, 1e-2, 1e9]) @ axes.T, 1e-3, 2.0)
+    assert acted == [True, True]
+    np.testing.assert_allclose(Q, axes @ np.diag([1e-3, 1e-2, 2.0]) @ axes.T, rtol=1e-6, atol=1e-6)
+    settings = parameters(source="external", accelerometer_ceiling=1e-1, gyroscope_ceiling=1e-2)
+    fine = ProcessNoise(2 * NS_STEP, np.diag([1e-1, 1e-2, 1e-3]), 1e-2 * np.eye(3))
+    high_f = ProcessNoise(4 * NS_STEP, np.diag([1e9, 1e-2, 1e-3]), 1e-2 * np.eye(3))
+    high_w = ProcessNoise(6 * NS_STEP, 1e-2 * np.eye(3), 1e9 * np.eye(3))
+    result = told(settings, fine, high_f, high_w)
+    assert result.states["ceilings"].tolist() == [0, 0, 0, 0, 1, 1, 2, 2, 2, 2, 2]
+    assert result.counts["floors"] == 0
+    s = result.states
+    np.testing.assert_allclose(s[4]["Q_f"], rotated(np.diag([1e-1, 1e-2, 1e-3])), rtol=1e-9)
+    np.testing.assert_allclose(s[6]["Q_w"], 1e-2 * np.eye(3), rtol=1e-9, atol=1e-15)
+
+
+@pytest.mark.parametrize("sensor", ["accelerometer", "gyroscope"])
+def test_a_floor_above_the_ceiling_is_a_contradiction(sensor: str) -> None:
+    with pytest.raises(ParameterError, match=rf"{sensor}_floor' must be at most .* \(1\), got 2.0"):
+        ProcessNoiseParameters(**{f"{sensor}_floor": 2.0, f"{sensor}_ceiling": 1.0})
 
 
 def test_a_zero_variance_never_stops_the_noise() -> None:
@@ -261,6 +286,31 @@ def test_the_floored_noise_of_a_step_does_not_depend_on_the_steps_before() -> No
     np.testing.assert_allclose(
         growth, np.broadcast_to(step, growth.shape), rtol=1e-6, atol=1e-6 * np.abs(step).max()
     )
+
+
+@pytest.mark.parametrize("form", ["floored", "literal"])
+def test_what_a_gap_adds_is_added_to_the_estimate(form: str) -> None:
+    """The motion that nobody saw is not in the innovations of the past."""
+    settings = adaptive(form)
+    rng = np.random.default_rng(11)
+    events = [Dvl(k * 50 * NS_STEP, 0.3 * rng.standard_normal(3)) for k in range(1, PINGS + 1)]
+    stamps = [k for k in range(50 * PINGS + 60) if not 420 <= k < 440]
+    rows = len(stamps)
+    result = run(
+        settings,
+        np.array(stamps) * NS_STEP,
+        np.tile(AT_REST, (rows, 1)),
+        np.zeros((rows, 3)),
+        events,
+    )
+    before, after = result.states[419], result.states[420]
+    assert after["gaps"] == before["gaps"] + 1
+    T = 0.21
+    growth = np.diag(after["P"] - before["P"])
+    estimated = T * np.diag(before["Q_x"])
+    unseen = np.r_[np.full(3, (0.5 * T) ** 2), np.full(3, (0.05 * T) ** 2)]
+    np.testing.assert_allclose((growth - estimated)[3:6], unseen[3:], rtol=0.05)
+    assert ((growth - estimated)[:3] > 0.9 * unseen[:3]).all()
 
 
 @pytest.mark.parametrize("form", ["floored", "literal"])

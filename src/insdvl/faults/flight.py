@@ -216,7 +216,7 @@ class _Outputs:
             if topic == IMU:
                 first.setdefault(epoch, stamp_ns + round(wait * NS))
         last = len(stream.epochs) - 1
-        until_ns = max(stamp_ns for stamp_ns, epoch, _ in valid if epoch == last)
+        until_ns = max((stamp_ns for stamp_ns, epoch, _ in valid if epoch == last), default=0)
         until_ns -= round(parameters.output_delay * NS)
         due: dict[str, Counter[int]] = {IMU: Counter(), DVL: Counter()}
         for stamp_ns, epoch, topic in valid:

@@ -73,7 +73,7 @@ class Row:
 
 #: How a filter starts under way that does not know when its time jumps: it finds roll and pitch
 #: from a second of specific force, and the velocity from the DVL.
-LEVELLING = MappingProxyType(
+LEVELLING: Mapping[str, Any] = MappingProxyType(
     {
         "initial.mode": "levelling",
         "initial.velocity_std": 1.5,
@@ -440,7 +440,13 @@ def _time_rows() -> list[Row]:
             "Time",
             "a recording that is played again from its beginning",
             changes.played_again(100.0),
-            (nothing_refused(), counter("time_jumps", 1), covered(), recovers(30.0), rejoins()),
+            (
+                nothing_refused(),
+                counter("time_jumps", 1),
+                covered(),
+                error_below(3.0),
+                rejoins(),
+            ),
             begin=100.0,
             end=100.0,
             parameters=LEVELLING,
