@@ -10,6 +10,8 @@ unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH 
 unexport FASTRTPS_DEFAULT_PROFILES_FILE RMW_IMPLEMENTATION VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 ARGS ?=
+# Two at a time; the tests of a file share what is costly to make.
+PYTEST := pytest -n 2 --dist loadfile
 # Folders are in the list so that a deleted file is noticed as well.
 SOURCES := $(shell find src ros_insdvl ros_insdvl_sim models tools/build.sh tools/warm.py \
 	-name __pycache__ -prune -o -name '*.egg-info' -prune -o -print)
@@ -24,10 +26,10 @@ results: .venv/.built
 	.venv/bin/insdvl results $(ARGS)
 
 test: .venv/.built
-	AMENT_PREFIX_PATH=$(CURDIR)/.venv .venv/bin/pytest $(ARGS)
+	AMENT_PREFIX_PATH=$(CURDIR)/.venv .venv/bin/$(PYTEST) $(ARGS)
 
 test-jazzy: .venv-jazzy/.built
-	AMENT_PREFIX_PATH=$(CURDIR)/.venv-jazzy .venv-jazzy/bin/pytest $(ARGS)
+	AMENT_PREFIX_PATH=$(CURDIR)/.venv-jazzy .venv-jazzy/bin/$(PYTEST) $(ARGS)
 
 .venv/.installed: requirements.txt constraints.txt tools/environment.sh
 	@tools/environment.sh .venv

@@ -1,4 +1,4 @@
-"""The `ros_insdvl_sim` package: simulator and replay nodes, and the demo."""
+"""The `ros_insdvl_sim` package: simulator, replay and relay nodes, and the demo."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ CONFIG = [str(path) for path in sorted(Path("config").glob("*"))]
 setup(
     name=NAME,
     version="0.1.0",
-    description="INS/DVL navigation for ROS 2: the simulator, the replay node and the demo",
+    description="INS/DVL navigation for ROS 2: simulator, replay, relay and the demo",
     maintainer="ros_insdvl maintainers",
     maintainer_email="maintainers@ros-insdvl.example.com",
     license="Apache-2.0",
@@ -26,7 +26,7 @@ setup(
     entry_points={
         "console_scripts": [
             f"{executable} = {NAME}.{executable}:main"
-            for executable in ("demo", "replay", "simulator")
+            for executable in ("demo", "relay", "replay", "simulator")
         ]
     },
 )

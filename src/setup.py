@@ -25,6 +25,7 @@ setup(
     ],
     install_requires=[
         "joblib",
+        "lz4",
         "matplotlib",
         "numba",
         "numpy",

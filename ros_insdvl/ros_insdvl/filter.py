@@ -5,20 +5,20 @@ published. Nothing numerical depends on a timer or on the clock.
 """
 
 import sys
-from collections import Counter, deque
+from collections import Counter
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import TwistStamped, TwistWithCovarianceStamped
 from nav_msgs.msg import Odometry
-from rclpy.subscription import Subscription
 from sensor_msgs.msg import Imu, NavSatFix
 from std_srvs.srv import Trigger
 
 from insdvl import inputs
-from insdvl.events import NS, Dvl, ProcessNoise
+from insdvl.events import NS, Dvl, Event, ProcessNoise
 from insdvl.events import Imu as ImuSample
 from insdvl.fold import AppliedUpdate, Fold, TimeJump
 from insdvl.frames import CONVENTIONS
@@ -26,16 +26,12 @@ from insdvl.inputs import Q_TOPICS, Inputs
 from insdvl.odometry import Odometry as FilterOdometry
 from insdvl.odometry import biases
 from insdvl.parameters import FilterParameters
-from insdvl.state import NEVER
+from insdvl.plausibility import FrameCheck
+from insdvl.state_file import StateFile
 from ros_insdvl.conversions import fill_bias, fill_innovation, fill_odometry
-from ros_insdvl.node import ERROR, WARN, Health, InsdvlNode, command_qos, run, sensor_qos
-
-#: Stamps and clock that differ by more than this are not of one time: no latency is told.
-CLOCK_AGREEMENT_NS = 10 * NS
-#: Stamps without a DVL update for longer than this are worth a warning.
-DVL_OUTAGE_NS = 5 * NS
-#: Largest relative difference between imu.rate and the rate of the stamps.
-RATE_TOLERANCE = 0.05
+from ros_insdvl.diagnostics import Status, View
+from ros_insdvl.filter_status import FilterWatch
+from ros_insdvl.node import InsdvlNode, command_qos, run, sensor_qos
 
 #: Message class of each type that is taken.
 TYPES = {
@@ -59,16 +55,23 @@ def compile_kernels(parameters: FilterParameters) -> None:
             output_delay=0.0,
         )
     )
+    check = FrameCheck(parameters)
     step = round(NS / parameters.imu.rate)
-    for k in range(1, 5):
-        fold.add(ImuSample(k * step, np.array([0.0, 0.0, -9.8]), np.zeros(3)))
-    fold.add(ProcessNoise(2 * step, np.eye(3), np.eye(3)))
-    fold.add(Dvl(3 * step, np.full(3, 0.01)))
+    events: list[Event] = [
+        ImuSample(k * step, np.array([0.0, 0.0, -9.8]), np.zeros(3)) for k in range(1, 5)
+    ]
+    events += [ProcessNoise(2 * step, np.eye(3), np.eye(3)), Dvl(3 * step, np.full(3, 0.01))]
+    for event in events:
+        fold.add(event)
+        check.add(event)
+    check.add(Dvl(4 * step, np.full(3, 0.01)))
     fold.take()
 
 
 class FilterNode(InsdvlNode[FilterParameters]):
     """The filter as a node."""
+
+    single_inputs = ("imu/data_raw", "dvl/velocity", "dvl/velocity_cov", *Q_TOPICS.values())
 
     def __init__(self, **options: Any) -> None:
         super().__init__("insdvl_filter", FilterParameters, **options)
@@ -77,6 +80,8 @@ class FilterNode(InsdvlNode[FilterParameters]):
         self._fold = Fold(parameters)
         self._inputs = Inputs(parameters)
         self._convention = CONVENTIONS[parameters.frame_convention]
+        self._state_file = self._resume()
+        self._watch = FilterWatch(parameters, self._inputs, self._fold, self._state_file)
 
         self._odometry = self.advertise(Odometry, "odometry/filtered")
         self._bias = self.advertise(Imu, "imu/bias")
@@ -88,20 +93,35 @@ class FilterNode(InsdvlNode[FilterParameters]):
         self._innovation_message = TwistWithCovarianceStamped()
 
         self._bias_second: int | None = None
-        self._subscriptions_by_topic: dict[str, Subscription] = {}
-        self._updates: Counter[str] = Counter()
-        self._nis: deque[float] = deque(maxlen=100)
-        self._imu_stamps: deque[int] = deque(maxlen=200)
-        self._latencies_ns: list[int] = []
-
         self.create_service(Trigger, "~/reset", self._reset)
         self._listen()
         self.start_diagnostics()
 
+    def _resume(self) -> StateFile | None:
+        """Go on from the state file, where there is one that fits."""
+        if not self.parameters.state_file:
+            return None
+        state_file = StateFile(Path(self.parameters.state_file), self._fold.filter)
+        log = self.get_logger()
+        record = state_file.load()
+        if state_file.unused is not None:
+            log.warning(f"{state_file.path} is not used, {state_file.unused}; {self._starts_anew}")
+        elif record is None:
+            log.info(f"{state_file.path} does not exist yet; {self._starts_anew}")
+        else:
+            self._fold.resume(record)
+            stamp = record[0]["imu_ns"] / NS
+            log.info(f"goes on from the state at stamp {stamp:.3f} s in {state_file.path}")
+        return state_file
+
+    @property
+    def _starts_anew(self) -> str:
+        return f"the filter starts as initial.mode says, '{self.parameters.initial.mode}'"
+
     def _listen(self) -> None:
         for topic, kind in self._inputs.topics.items():
-            if topic not in self._subscriptions_by_topic:
-                self._subscriptions_by_topic[topic] = self.listen(
+            if topic not in self.inputs:
+                self.listen(
                     TYPES[kind],
                     topic,
                     partial(self._receive, topic),
@@ -118,12 +138,14 @@ class FilterNode(InsdvlNode[FilterParameters]):
                 refusal = self._fold.add(event)
                 if refusal is not None:
                     self.reject(topic, refusal, f"{refusal}: stamp {event.stamp_ns} ns")
-                elif isinstance(event, ImuSample):
-                    self._imu_stamps.append(event.stamp_ns)
+                else:
+                    self._watch.took(event)
         finally:
             self._publish()
+        if self._state_file is not None and (state := self._fold.latest) is not None:
+            self._state_file.offer(state)
         if topic == self._inputs.initial_topic and self._inputs.initial_done:
-            self.destroy_subscription(self._subscriptions_by_topic.pop(topic))
+            self.ignore(topic)
 
     # Outputs
 
@@ -139,7 +161,7 @@ class FilterNode(InsdvlNode[FilterParameters]):
     def _publish_state(self, output: FilterOdometry) -> None:
         fill_odometry(self._odometry_message, output)
         self._odometry.send(self._odometry_message)
-        self._latencies_ns.append(self.get_clock().now().nanoseconds - output.stamp_ns)
+        self._watch.published(output, self.get_clock().now().nanoseconds)
         second = output.stamp_ns // NS
         if second != self._bias_second:
             self._bias_second = second
@@ -150,16 +172,17 @@ class FilterNode(InsdvlNode[FilterParameters]):
 
     def _follow(self, jump: TimeJump) -> None:
         """The fold has begun again in another time; so does what is kept here per time."""
-        self.get_logger().warning(
-            f"time jump from {jump.from_ns / NS:.3f} to {jump.to_ns / NS:.3f} s: "
-            "the filter starts again"
-        )
         self._begin_time()
+        if self._state_file is not None and self._state_file.left_at(jump.from_ns, jump.to_ns):
+            line = f"{self._state_file.path} is not used, {self._state_file.unused}"
+            self.get_logger().warning(f"{line}; {self._starts_anew}")
+        else:
+            self._watch.jumped(jump)
 
     def _begin_time(self) -> None:
+        """Forget what is kept here by stamps."""
         self._bias_second = None
-        self._nis.clear()
-        self._imu_stamps.clear()
+        self._watch.reset()
         self._inputs.reset()
         self._listen()
 
@@ -168,12 +191,9 @@ class FilterNode(InsdvlNode[FilterParameters]):
         if not np.isfinite(report.nis):  # nothing was predicted to compare it with
             self.reject("dvl", report.reason, f"{report.reason}: stamp {update.stamp_ns} ns")
             return
-        if report.accepted:
-            self._updates["accepted"] += 1
-        else:
-            self._updates["rejected"] += 1
+        self._watch.updated(update)
+        if not report.accepted:
             self.reject("dvl", report.reason, f"{report.reason}: NIS {report.nis:.1f}")
-        self._nis.append(report.nis)
         axes = self._convention.body
         fill_innovation(
             self._innovation_message,
@@ -186,6 +206,8 @@ class FilterNode(InsdvlNode[FilterParameters]):
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._fold.reset()
         self._begin_time()
+        if self._state_file is not None:
+            self._state_file.remove()
         self.get_logger().info("reset: the filter is uninitialised")
         response.success = True
         response.message = f"uninitialised; initial.mode is {self.parameters.initial.mode}"
@@ -193,64 +215,15 @@ class FilterNode(InsdvlNode[FilterParameters]):
 
     # Diagnostics
 
-    def health(self) -> Health:
-        """Updates, NIS, Q and its age, IMU rate, latency and the fold's counters."""
-        health = Health()
-        health.values["DVL updates accepted"] = self._updates["accepted"]
-        health.values["DVL updates rejected"] = self._updates["rejected"]
-        if self._nis:
-            health.values[f"NIS, mean of {len(self._nis)}"] = f"{np.mean(self._nis):.3f}"
-        self._tell_state(health)
-        self._tell_imu_rate(health)
-        self._tell_latency(health)
-        for name, count in self._fold.counts.items():
-            health.values[name] = count
-        return health
+    def counts(self) -> Counter[str]:
+        """Those of every node, and of the filter."""
+        counts = super().counts()
+        counts.update(self._watch.counts)
+        return counts
 
-    def _tell_state(self, health: Health) -> None:
-        state = self._fold.latest
-        if state is None:
-            initial = self.parameters.initial
-            waits_for = initial.topic if initial.mode == "topic" else initial.mode
-            if self.parameters.origin.source == "topic":
-                waits_for += " and gps/fix"
-            health.complain(WARN, f"not initialised, waits for {waits_for}")
-            return
-        sigma_f = np.sqrt(np.diag(state["Q_f"]))
-        sigma_w = np.sqrt(np.diag(state["Q_w"]))
-        for axis, f, w in zip("xyz", sigma_f, sigma_w, strict=True):
-            health.values[f"Q sigma f_{axis} [m/s^2]"] = f"{f:.6g}"
-            health.values[f"Q sigma w_{axis} [rad/s]"] = f"{w:.6g}"
-        time_ns, q_ns = int(state["time_ns"]), int(state["q_ns"])
-        if q_ns != NEVER:
-            health.values["Q age [s]"] = f"{(time_ns - q_ns) / NS:.3f}"
-        elif self.parameters.process_noise.source in (*Q_TOPICS, "message"):
-            health.values["Q age [s]"] = "nominal"
-            health.complain(WARN, "no process noise received, Q is nominal")
-        dvl_ns = int(state["dvl_ns"])
-        if dvl_ns != NEVER and time_ns - dvl_ns > DVL_OUTAGE_NS:
-            health.complain(WARN, f"no DVL for {(time_ns - dvl_ns) / NS:.0f} s")
-
-    def _tell_imu_rate(self, health: Health) -> None:
-        if self.received["imu/data_raw"] == 0:
-            health.complain(ERROR, "no imu/data_raw received")
-        if len(self._imu_stamps) < 10:
-            return
-        rate = NS / float(np.median(np.diff(np.sort(np.array(self._imu_stamps)))))
-        health.values["IMU rate of the stamps [Hz]"] = f"{rate:.2f}"
-        if abs(rate / self.parameters.imu.rate - 1.0) > RATE_TOLERANCE:
-            health.complain(
-                WARN, f"imu.rate is {self.parameters.imu.rate:g} Hz, the stamps say {rate:.1f} Hz"
-            )
-
-    def _tell_latency(self, health: Health) -> None:
-        if not self._latencies_ns:
-            return
-        p50, p99 = np.percentile(self._latencies_ns, [50, 99])
-        self._latencies_ns.clear()
-        if abs(p50) < CLOCK_AGREEMENT_NS:
-            health.values["latency p50 [ms]"] = f"{p50 / 1e6:.2f}"
-            health.values["latency p99 [ms]"] = f"{p99 / 1e6:.2f}"
+    def causes(self, view: View) -> list[Status]:
+        """One status per cause, see `FilterWatch`."""
+        return self._watch.causes(view)
 
 
 def main() -> int:

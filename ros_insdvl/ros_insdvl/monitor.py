@@ -18,6 +18,7 @@ from insdvl.evaluation.metrics import rmse
 from insdvl.events import NS
 from insdvl.messages import stamp_ns
 from insdvl.parameters import parameter
+from ros_insdvl.diagnostics import OK
 from ros_insdvl.node import InsdvlNode, command_qos, publisher_qos, run
 
 Array = NDArray[np.float64]
@@ -106,28 +107,45 @@ class OdometrySeries:
 
 @dataclass
 class Watched:
-    """A filter, and what is known of it."""
+    """A filter, and what is known of it.
+
+    Attributes:
+        values: All values of its last diagnostics.
+        level: The worst level of its statuses.
+        message: The worst of them, with its cause.
+    """
 
     label: str
     node: str
     series: OdometrySeries
-    status: dict[str, str] = field(default_factory=dict)
+    values: dict[str, str] = field(default_factory=dict)
     level: str = "-"
     message: str = ""
 
+    def tell(self, statuses: list[DiagnosticStatus]) -> None:
+        """Take the node's last statuses."""
+        self.values = {item.key: item.value for status in statuses for item in status.values}
+        worst = max(statuses, key=lambda status: status.level)
+        self.level = LEVELS.get(worst.level, "?")
+        wrong = sum(status.level != OK for status in statuses)
+        cause = worst.name.removeprefix(f"{self.node}: ")
+        self.message = f"{cause}: {worst.message}" if wrong else "all is well"
+        if wrong > 1:
+            self.message += f" (and {wrong - 1} more)"
+
     def value(self, key: str) -> str:
         """A value of its last diagnostics, `-` where there is none."""
-        return self.status.get(key, "-")
+        return self.values.get(key, "-")
 
     @property
     def rejected(self) -> int:
         """Number of messages and updates that it did not use."""
-        return sum(int(v) for key, v in self.status.items() if key.startswith("rejected "))
+        return sum(int(v) for key, v in self.values.items() if key.startswith("rejected "))
 
     @property
     def nis(self) -> str:
         """Its mean normalised innovation squared."""
-        return next((v for key, v in self.status.items() if key.startswith("NIS")), "-")
+        return next((v for key, v in self.values.items() if key.startswith("NIS")), "-")
 
 
 class Monitor(InsdvlNode[MonitorParameters]):
@@ -138,7 +156,7 @@ class Monitor(InsdvlNode[MonitorParameters]):
         filters: The filters, in the order of the parameter.
         learned_q: Stamps and variances (6,) of process_noise, f_b then w_ib_b.
         true_q: The same of ground_truth/process_noise.
-        statuses: The last diagnostics of every node, by its name.
+        values: All values of the last diagnostics of every node, by its name.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -160,7 +178,7 @@ class Monitor(InsdvlNode[MonitorParameters]):
         self.true_q: deque[tuple[int, Array]] = deque(maxlen=keep)
         for topic, kept in ((LEARNED_Q, self.learned_q), (TRUE_Q, self.true_q)):
             self.listen(Imu, topic, _keep_variances(kept), command_qos())
-        self.statuses: dict[str, dict[str, str]] = {}
+        self.values: dict[str, dict[str, str]] = {}
         self.listen(DiagnosticArray, "/diagnostics", self._on_diagnostics, publisher_qos())
         self._lines_above = 0
         self._last_line = ""
@@ -169,14 +187,14 @@ class Monitor(InsdvlNode[MonitorParameters]):
         )
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        by_node: dict[str, list[DiagnosticStatus]] = {}
         for status in message.status:
-            values = {item.key: item.value for item in status.values}
-            self.statuses[status.name] = values
+            by_node.setdefault(status.name.split(": ")[0], []).append(status)
+        for node, statuses in by_node.items():
+            self.values[node] = {item.key: item.value for s in statuses for item in s.values}
             for watched in self.filters:
-                if watched.node == status.name:
-                    watched.status = values
-                    watched.level = LEVELS.get(status.level, "?")
-                    watched.message = status.message
+                if watched.node == node:
+                    watched.tell(statuses)
 
     def velocity_error(self, watched: Watched) -> tuple[Array, Array]:
         """Body velocity errors (N, 3) over the last window, and their sigmas (N, 3) [m/s].

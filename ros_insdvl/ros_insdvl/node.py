@@ -3,18 +3,21 @@
 import signal
 import sys
 import time
+import traceback
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from math import inf
 from typing import Any, Generic, TypeVar
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidHandle, InvalidParameterTypeException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import (
     DurabilityPolicy,
     HistoryPolicy,
@@ -28,16 +31,14 @@ from rclpy.task import Future
 
 from insdvl.messages import RejectedMessage
 from insdvl.parameters import ParameterError
+from ros_insdvl.connections import Connections
+from ros_insdvl.diagnostics import ERROR, OK, RECENT, Recent, Status, View
 from ros_insdvl.parameters import declare
 
 _Group = TypeVar("_Group")
 
 #: Messages of a topic that a node handles before it looks at its other topics.
 TURN = 20
-
-OK = DiagnosticStatus.OK
-WARN = DiagnosticStatus.WARN
-ERROR = DiagnosticStatus.ERROR
 
 
 def publisher_qos() -> QoSProfile:
@@ -82,42 +83,28 @@ def _overridable() -> QoSOverridingOptions:
     )
 
 
-@dataclass
-class Health:
-    """What a node says of itself in /diagnostics; complaints raise the level."""
-
-    level: bytes = OK
-    complaints: list[str] = field(default_factory=list)
-    values: dict[str, Any] = field(default_factory=dict)
-
-    def complain(self, level: bytes, text: str) -> None:
-        """Add a complaint; the status takes the worst level of all of them."""
-        self.level = max(self.level, level)
-        self.complaints.append(text)
-
-
 class Output:
     """A publisher that counts what it sends."""
 
     def __init__(self, node: Node, message_type: type[Any], topic: str, qos: QoSProfile) -> None:
-        self._publisher = node.create_publisher(
+        self.publisher = node.create_publisher(
             message_type, topic, qos, qos_overriding_options=_overridable()
         )
         self.count = 0
 
     def send(self, message: Any) -> None:
         """Publish a message; it is serialised here, so the caller may use it again."""
-        self._publisher.publish(message)
+        self.publisher.publish(message)
         self.count += 1
 
     @property
     def listeners(self) -> int:
         """How many subscriptions match."""
-        return int(self._publisher.get_subscription_count())
+        return int(self.publisher.get_subscription_count())
 
     def acknowledged(self, timeout: Duration) -> bool:
         """Whether all that was sent arrives at the reliable subscriptions within a time."""
-        return bool(self._publisher.wait_for_all_acked(timeout))
+        return bool(self.publisher.wait_for_all_acked(timeout))
 
 
 def subscribe(
@@ -159,15 +146,19 @@ def subscribe(
 
 
 class InsdvlNode(Node, Generic[_Group]):
-    """A node with the parameters of a group, counted topics and a status in /diagnostics.
+    """A node with the parameters of a group, counted topics and statuses in /diagnostics.
 
     Attributes:
         parameters: The group with this node's values.
         received: Messages per topic, as the topic is named in the code.
         rejected: Messages that were not used, by ``topic: reason``.
+        inputs: The subscriptions, by topic.
         outputs: The publishers, by topic.
         finished: Completed with the exit code by a node that ends by itself.
     """
+
+    #: Inputs that have one publisher; a second one is worth a warning.
+    single_inputs: tuple[str, ...] = ()
 
     def __init__(self, name: str, group: type[_Group], **options: Any) -> None:
         """Declare the parameters, before anything is published.
@@ -188,8 +179,11 @@ class InsdvlNode(Node, Generic[_Group]):
             raise
         self.received: Counter[str] = Counter()
         self.rejected: Counter[str] = Counter()
+        self.inputs: dict[str, Subscription] = {}
         self.outputs: dict[str, Output] = {}
         self.finished: Future = Future()
+        self._heard: dict[str, float] = {}
+        self._failures: Counter[str] = Counter()
 
     def advertise(
         self, message_type: type[Any], topic: str, qos: QoSProfile | None = None
@@ -205,23 +199,37 @@ class InsdvlNode(Node, Generic[_Group]):
         topic: str,
         callback: Callable[[Any], None],
         qos: QoSProfile | None = None,
-    ) -> Subscription:
+        *,
+        raw: bool = False,
+    ) -> None:
         """A counted subscription; its quality of service is `sensor_qos` unless given.
 
-        A `RejectedMessage` from the callback is counted by its reason.
+        A `RejectedMessage` from the callback is counted by its reason. With ``raw`` the callback
+        takes the message's bytes.
         """
-        self.received[topic] = 0
+        self.received.setdefault(topic, 0)
 
         def handle(message: Any) -> None:
             self.received[topic] += 1
+            self._heard[topic] = time.monotonic()
             try:
                 callback(message)
             except RejectedMessage as rejection:
                 self.reject(topic, rejection.reason, str(rejection))
 
-        return subscribe(
-            self, message_type, topic, handle, qos or sensor_qos(), overrides=_overridable()
+        self.inputs[topic] = subscribe(
+            self,
+            message_type,
+            topic,
+            handle,
+            qos or sensor_qos(),
+            raw=raw,
+            overrides=_overridable(),
         )
+
+    def ignore(self, topic: str) -> None:
+        """End a subscription."""
+        self.destroy_subscription(self.inputs.pop(topic))
 
     def reject(self, topic: str, reason: str, detail: str) -> None:
         """Count a message that is not used; the first of each reason is logged."""
@@ -230,51 +238,112 @@ class InsdvlNode(Node, Generic[_Group]):
         if self.rejected[key] == 1:
             self.get_logger().warning(f"{topic} rejected, {detail} (further ones: /diagnostics)")
 
-    def start_diagnostics(self) -> None:
-        """Publish the status once a second of the steady clock."""
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", publisher_qos())
-        self._last_counts: Counter[str] = Counter()
-        self._last_time = time.monotonic()
-        self.create_timer(1.0, self._publish_status, clock=Clock(clock_type=ClockType.STEADY_TIME))
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """Refuse a change by the parameter's name; rclpy forgets the name of an unknown one."""
+        for parameter in parameter_list:
+            if not self.has_parameter(parameter.name):
+                reason = f"unknown parameter '{parameter.name}'"
+                return SetParametersResult(successful=False, reason=reason)
+        return super().set_parameters_atomically(parameter_list)
 
-    def health(self) -> Health:
-        """The node's own part of its status; nodes extend it."""
-        return Health()
+    def fail(self, error: Exception) -> None:
+        """Count what a callback raised and nobody expected; the first of each is logged whole."""
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        key = f"{type(error).__name__} at {place.name}, line {place.lineno}"
+        self._failures[key] += 1
+        if self._failures[key] == 1:
+            text = "".join(traceback.format_exception(error))
+            self.get_logger().error(f"unexpected error, the node goes on: {text}")
 
     def finish(self, exit_code: int) -> None:
         """End the node's spinning with an exit code."""
         if not self.finished.done():
             self.finished.set_result(exit_code)
 
-    def status(self) -> DiagnosticStatus:
-        """The node's status, counters and rates included."""
-        health = self.health()
-        values = dict(health.values)
-        counts = Counter(self.received)
-        for topic, output in self.outputs.items():
-            counts[topic] += output.count
-            values[f"sent {topic}"] = output.count
-        now = time.monotonic()
-        elapsed = now - self._last_time
-        for topic, count in self.received.items():
-            values[f"received {topic}"] = count
-        for topic, count in counts.items():
-            values[f"rate {topic} [Hz]"] = f"{(count - self._last_counts[topic]) / elapsed:.1f}"
-        for reason, count in self.rejected.items():
-            values[f"rejected {reason}"] = count
-        self._last_counts, self._last_time = counts, now
-        return DiagnosticStatus(
-            level=health.level,
-            name=self.get_fully_qualified_name(),
-            message="; ".join(health.complaints) or "running",
-            hardware_id="insdvl",
-            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+    # Diagnostics
+
+    def start_diagnostics(self) -> None:
+        """Publish the statuses once a second of the steady clock."""
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", publisher_qos())
+        self._connections = Connections(self, self.single_inputs)
+        self._recent = Recent()
+        self._looked = time.monotonic()
+        self._told: dict[str, set[str]] = {}
+        self.create_timer(
+            1.0, self._publish_statuses, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
 
-    def _publish_status(self) -> None:
-        message = DiagnosticArray(status=[self.status()])
+    def counts(self) -> Counter[str]:
+        """What has been counted since the start, see `View`; nodes extend it."""
+        counts = Counter({f"received {topic}": n for topic, n in self.received.items()})
+        counts.update({f"sent {topic}": output.count for topic, output in self.outputs.items()})
+        counts.update({f"rejected {key}": n for key, n in self.rejected.items()})
+        counts.update({"unexpected errors": self._failures.total()})
+        return counts
+
+    def causes(self, view: View) -> list[Status]:
+        """The node's own statuses; nodes extend it."""
+        return []
+
+    def statuses(self) -> list[Status]:
+        """All statuses, as of now."""
+        now = time.monotonic()
+        total = self.counts()
+        self._recent.look(now, total)
+        elapsed, self._looked = max(now - self._looked, 1e-3), now
+        step = self._recent.step
+        view = View(
+            total=total,
+            recent=self._recent.growth,
+            rates={
+                topic: step[f"{verb} {topic}"] / elapsed
+                for verb, topics in (("received", self.received), ("sent", self.outputs))
+                for topic in topics
+            },
+            silence={topic: now - self._heard.get(topic, -inf) for topic in self.received},
+        )
+        publishers = {topic: output.publisher for topic, output in self.outputs.items()}
+        return [
+            *self.causes(view),
+            self._connections.status(self.inputs, publishers),
+            self._unexpected(view),
+        ]
+
+    def _unexpected(self, view: View) -> Status:
+        status = Status("unexpected errors", "none")
+        status.values.update(self._failures)
+        if count := view.recent["unexpected errors"]:
+            status.complain(
+                ERROR,
+                "errors",
+                f"{count} unexpected errors in the last {RECENT:.0f} s: this is a bug, please "
+                "report what the node's log says; where they go on, start the node again",
+            )
+        return status
+
+    def _publish_statuses(self) -> None:
+        statuses = self.statuses()
+        self._log_changes(statuses)
+        name = self.get_fully_qualified_name()
+        message = DiagnosticArray(status=[status.of_node(name) for status in statuses])
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(message)
+
+    def _log_changes(self, statuses: list[Status]) -> None:
+        """A line for each complaint that is new, and for each status that is well again."""
+        for status in statuses:
+            before = self._told.get(status.cause, set())
+            for complaint in status.complaints:
+                if complaint.about in before:
+                    continue
+                # One line each: rclpy keeps the level of a line of code.
+                if complaint.level == ERROR:
+                    self.get_logger().error(f"{status.cause}: {complaint.text}")
+                else:
+                    self.get_logger().warning(f"{status.cause}: {complaint.text}")
+            if before and status.level == OK:
+                self.get_logger().info(f"{status.cause}: ok again, {status.summary}")
+            self._told[status.cause] = {complaint.about for complaint in status.complaints}
 
 
 def run(factory: Callable[[], InsdvlNode[Any]]) -> int:
@@ -300,16 +369,16 @@ def run(factory: Callable[[], InsdvlNode[Any]]) -> int:
 def _spin(factory: Callable[[], InsdvlNode[Any]], nodes: list[InsdvlNode[Any]]) -> int:
     """As `run`, which takes down the node that is put into ``nodes``."""
     try:
-        rclpy.init()
+        _init()
     except RuntimeError as error:  # what rcl's errors are derived from
-        print(f"cannot read the ROS arguments: {error}", file=sys.stderr)
+        print(f"cannot start ROS: {error}", file=sys.stderr)
         return 2
     try:
         node = factory()
         nodes.append(node)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        executor.spin_until_future_complete(node.finished)
+        _turn(executor, node)
         return int(node.finished.result()) if node.finished.done() else 0
     except (ParameterError, InvalidParameterTypeException) as error:
         print(error, file=sys.stderr)
@@ -321,6 +390,35 @@ def _spin(factory: Callable[[], InsdvlNode[Any]], nodes: list[InsdvlNode[Any]]) 
         if rclpy.ok():
             raise
         return 0  # interrupted while the node was made: the middleware is gone
+
+
+def _init() -> None:
+    """Start ROS, without log files where their folder cannot be written."""
+    try:
+        rclpy.init()
+    except RuntimeError as error:
+        if "logging" not in str(error):
+            raise
+        rclpy.try_shutdown()
+        rclpy.init(args=[*sys.argv, "--ros-args", "--disable-external-lib-logs"])
+        print(f"no log file, the log goes to the terminal only: {error}", file=sys.stderr)
+
+
+def _turn(executor: SingleThreadedExecutor, node: InsdvlNode[Any]) -> None:
+    """Handle messages until the node finishes; no message, whatever is in it, ends this.
+
+    Only a node that runs by itself goes on like this: an executor of a test's own raises.
+    """
+    while True:
+        try:
+            executor.spin_until_future_complete(node.finished)
+            return
+        except ExternalShutdownException:
+            raise
+        except Exception as error:
+            if not rclpy.ok():  # interrupted: the middleware is gone
+                return
+            node.fail(error)
 
 
 def _ignore_interrupts() -> None:

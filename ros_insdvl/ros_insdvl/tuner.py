@@ -6,6 +6,7 @@ use in place of the driver's.
 """
 
 import sys
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -18,11 +19,16 @@ from insdvl.parameters import ParameterError, TunerParameters
 from insdvl.tuner.models import ModelError
 from insdvl.tuner.tuner import TunedNoise, Tuner
 from ros_insdvl.conversions import NOT_MEASURED, flat_covariance
-from ros_insdvl.node import ERROR, WARN, Health, InsdvlNode, latched_qos, run
+from ros_insdvl.diagnostics import ERROR, OF_TIME, RECENT, WARN, Status, View
+from ros_insdvl.node import InsdvlNode, latched_qos, run
+
+IMU = "imu/data_raw"
 
 
 class TunerNode(InsdvlNode[TunerParameters]):
     """The tuner as a node."""
+
+    single_inputs = (IMU,)
 
     def __init__(self, **options: Any) -> None:
         """Load the model and compile the kernels, then listen.
@@ -41,7 +47,7 @@ class TunerNode(InsdvlNode[TunerParameters]):
         self._latest: TunedNoise | None = None
         self._process_noise = self.advertise(Imu, "process_noise", latched_qos())
         self.create_service(SetBool, "~/enable", self._enable)
-        self.listen(Imu, "imu/data_raw", self._on_imu)
+        self.listen(Imu, IMU, self._on_imu)
         self.start_diagnostics()
 
     def _on_imu(self, message: Imu) -> None:
@@ -63,23 +69,80 @@ class TunerNode(InsdvlNode[TunerParameters]):
         self.get_logger().info(response.message)
         return response
 
-    def health(self) -> Health:
-        """Model, switch, the six sigmas of Q, and what became of the samples."""
-        health = Health()
-        health.values["model"] = self._tuner.model.card["name"]
-        health.values["enabled"] = self._tuner.enabled
+    # Diagnostics
+
+    def counts(self) -> Counter[str]:
+        """Those of every node, and what became of the samples."""
+        counts = super().counts()
+        counts.update(self._tuner.counts)
+        return counts
+
+    def causes(self, view: View) -> list[Status]:
+        """The IMU and its stamps, and what is learned from it."""
+        return [self._imu(view), self._learned(view)]
+
+    def _imu(self, view: View) -> Status:
+        status = Status("imu", f"{view.rates[IMU]:.1f} Hz")
+        view.quiet(status, IMU, ERROR, "look at the IMU's driver, its topic and the connections")
+        view.refused(status, [IMU])
+        view.refused(status, [IMU], OF_TIME)
+        for name, remedy in (
+            ("duplicates", "two senders on one topic, or a network that doubles"),
+            ("out_of_order", "the network changes the order; such samples are left out"),
+            (
+                "gaps",
+                f"samples are lost; a window that spans more than {self.parameters.max_gap:g} "
+                "s is not used",
+            ),
+        ):
+            status.values[name] = view.total.get(name, 0)
+            if count := view.recent[name]:
+                status.complain(WARN, name, f"{count} {name} in the last {RECENT:.0f} s: {remedy}")
+        view.show(status, IMU)
+        return status
+
+    def _learned(self, view: View) -> Status:
+        """Model, switch, and the six sigmas of Q."""
+        model = self._tuner.model.card["name"]
+        status = Status("process noise", f"learned by the model {model}")
+        status.values["model"] = model
+        status.values["enabled"] = self._tuner.enabled
         if not self._tuner.enabled:
-            health.complain(WARN, "disabled: process_noise is not published")
-        if self.received["imu/data_raw"] == 0:
-            health.complain(ERROR, "no imu/data_raw received")
+            status.complain(
+                WARN, "disabled", "disabled, process_noise is not published: call ~/enable"
+            )
+        elif self._learns_nothing(view):
+            status.complain(
+                WARN,
+                "nothing",
+                f"no window was usable in the last {RECENT:.0f} s: it takes "
+                f"{self._tuner.model.window} samples in a row without a gap",
+            )
+        if count := view.recent["too_large"]:
+            status.complain(
+                WARN,
+                "too large",
+                f"{count} windows in the last {RECENT:.0f} s had values too large to learn from: "
+                "look at the IMU",
+            )
         if self._latest is not None:
             sigmas = np.sqrt(self._latest.variances)
             for axis, f, w in zip("xyz", sigmas[:3], sigmas[3:], strict=True):
-                health.values[f"Q sigma f_{axis} [m/s^2]"] = f"{f:.6g}"
-                health.values[f"Q sigma w_{axis} [rad/s]"] = f"{w:.6g}"
-        for name, count in self._tuner.counts.items():
-            health.values[name] = count
-        return health
+                status.values[f"Q sigma f_{axis} [m/s^2]"] = f"{f:.6g}"
+                status.values[f"Q sigma w_{axis} [rad/s]"] = f"{w:.6g}"
+        for name in ("samples", "windows", "too_large"):
+            status.values[name] = view.total.get(name, 0)
+        view.show(status, "process_noise")
+        return status
+
+    def _learns_nothing(self, view: View) -> bool:
+        """Whether samples came all the time, for long enough, and no estimate."""
+        samples = view.recent[f"received {IMU}"]
+        return (
+            0 < samples < view.total[f"received {IMU}"]
+            and not view.recent["sent process_noise"]
+            and RECENT * self.parameters.rate >= 2.0
+        )
 
 
 def main() -> int:

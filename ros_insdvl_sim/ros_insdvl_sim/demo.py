@@ -36,6 +36,7 @@ from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message, serialize_message
 from scipy.spatial.transform import Rotation
 
+from insdvl import files
 from insdvl.bags import BagError, BagWriter, Raw
 from insdvl.evaluation import plots
 from insdvl.evaluation.metrics import Scores, Track, scores
@@ -266,7 +267,7 @@ def start_consumers(graph: Graph, out: Path, initial: Mapping[str, Any]) -> None
             "process_noise": {"source": source},
         }
         document = {"/**/insdvl_filter": {"ros__parameters": section}}
-        parameters.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+        files.write(parameters, yaml.safe_dump(document, sort_keys=False).encode())
         qos = lossless("/imu/data_raw", "/dvl/velocity")
         arguments = ["--params-file", str(parameters)]
         arguments += arguments_of(qos, {"__ns": namespace, **remaps})
@@ -335,7 +336,7 @@ class Listener:
     def ready(self) -> bool:
         """Whether all consumers are in the graph and publish their diagnostics."""
         nodes = {"/insdvl_tuner", *(f"{name}/insdvl_filter" for name in FILTERS)}
-        return nodes <= self.monitor.statuses.keys()
+        return nodes <= self.monitor.values.keys()
 
     def counts(self, sent: Mapping[str, int]) -> list[Count]:
         """Messages sent and received.
@@ -343,14 +344,14 @@ class Listener:
         Args:
             sent: By the simulator, per topic.
         """
-        statuses = self.monitor.statuses
+        values = self.monitor.values
         counts = []
 
         def add(consumer: str, topic: str, sent: int, received: int) -> None:
             counts.append(Count(consumer, topic, sent, received))
 
         def told(node: str, key: str) -> int:
-            return int(statuses.get(node, {}).get(key, 0))
+            return int(values.get(node, {}).get(key, 0))
 
         q_sent = told("/insdvl_tuner", "sent process_noise")
         imu, dvl = "imu/data_raw", "dvl/velocity"
@@ -616,7 +617,7 @@ def run_demo(options: argparse.Namespace) -> int:
         "rejected": rejected,
         "exit_codes": codes,
     }
-    (out / "summary.json").write_text(json.dumps(numbers, indent=2) + "\n", encoding="utf-8")
+    files.write(out / "summary.json", (json.dumps(numbers, indent=2) + "\n").encode())
     print(f"\n{picture}\n{out / 'summary.json'}\n{wall_time:.1f} s in all")
     if options.record is not None:
         print(f"{listener.recorded.total()} messages in {options.record}")
@@ -667,7 +668,7 @@ def main() -> int:
         signal.signal(kind, interrupt)
     try:
         return run_demo(options)
-    except (DemoError, BagError) as error:
+    except (DemoError, BagError, OSError) as error:  # the last from --out that cannot be written
         print(f"demo: {error}", file=sys.stderr)
         return 1
     except (KeyboardInterrupt, ExternalShutdownException):

@@ -23,7 +23,8 @@ from ros_insdvl.conversions import (
     set_vector,
     time_of,
 )
-from ros_insdvl.node import Health, run
+from ros_insdvl.diagnostics import Status, View
+from ros_insdvl.node import run
 from ros_insdvl_sim.player import Player
 
 Timeline = Iterator[tuple[int, str, Any]]
@@ -64,12 +65,14 @@ class Simulator(Player[SimulatorParameters]):
             exclusive_wait=parameters.exclusive_wait,
         )
 
-    def health(self) -> Health:
+    def causes(self, view: View) -> list[Status]:
         """How far the mission is."""
-        health = Health()
-        health.values["mission time [s]"] = f"{(self._now_ns - self._start_ns) / NS:.1f}"
-        health.values["mission duration [s]"] = f"{self._mission.stamps_ns[-1] / NS:.1f}"
-        return health
+        elapsed, duration = (self._now_ns - self._start_ns) / NS, self._mission.stamps_ns[-1] / NS
+        status = Status("mission", f"{elapsed:.0f} of {duration:.0f} s")
+        status.values["mission time [s]"] = f"{elapsed:.1f}"
+        status.values["mission duration [s]"] = f"{duration:.1f}"
+        view.show(status, *self.outputs)
+        return [status]
 
     def timeline(self) -> Timeline:
         """All messages of the mission, by their stamps."""

@@ -10,6 +10,7 @@ import sqlite3
 import struct
 import tempfile
 from collections.abc import Collection, Iterable, Iterator
+from contextlib import ExitStack
 from functools import cache
 from pathlib import Path
 from types import TracebackType
@@ -21,6 +22,12 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
+from insdvl.bag_checks import (
+    MAX_MESSAGE_BYTES,
+    check_chunks,
+    check_database,
+    check_folder,
+)
 from insdvl.events import NS
 from insdvl.inputs import FIX, IMU, ODOMETRY, TWIST, TWIST_WITH_COVARIANCE
 from insdvl.parameters import ReplayParameters
@@ -201,15 +208,16 @@ class BagReader:
             raise BagError(f"recording {path} does not exist")
         if path.is_dir() and not (path / "metadata.yaml").is_file():
             raise BagError(f"{path} is no rosbag2 recording: it has no metadata.yaml")
-        if path.is_file() and path.suffix not in (".mcap", ".db3"):
+        if not path.is_dir() and not (path.is_file() and path.suffix in (".mcap", ".db3")):
             raise BagError(f"{path} is no rosbag2 recording: neither a folder, .mcap nor .db3")
         try:
-            self._reader = Reader(path)
-            self._reader.open()
-            found = {
-                name: (sorted({c.msgtype for c in info.connections}), info.msgcount)
-                for name, info in self._reader.topics.items()
-            }
+            with ExitStack() as stack:
+                self._reader = self._open(path, stack)
+                found = {
+                    name: (sorted({c.msgtype for c in info.connections}), info.msgcount)
+                    for name, info in self._reader.topics.items()
+                }
+                stack.pop_all()
         except Exception as error:  # damaged bytes make the parser raise anything
             raise BagError(f"cannot read recording {path}: {_text(error)}") from error
         for name, (types, _) in found.items():
@@ -220,6 +228,20 @@ class BagReader:
         if not any(topic.size for topic in self.topics.values()):
             self.close()
             raise BagError(f"recording {path} is empty: it has no messages")
+
+    @staticmethod
+    def _open(path: Path, stack: ExitStack) -> Reader:
+        """Open a recording when it is fit for it; the stack closes it."""
+        if path.is_dir():
+            check_folder(path)
+        elif path.suffix == ".db3":
+            check_database(path)
+        reader = Reader(path)
+        reader.open()
+        stack.callback(reader.close)
+        for storage in getattr(reader.storage, "storages", [reader.storage]):
+            check_chunks(getattr(storage, "chunks", []))
+        return reader
 
     def __enter__(self) -> "BagReader":
         return self
@@ -283,10 +305,20 @@ class BagReader:
                     f"recording {self.path} is damaged behind {found} messages: {_text(error)}"
                 ) from error
             found += 1
+            if len(data) > MAX_MESSAGE_BYTES:
+                raise BagError(
+                    f"a message on topic {connection.topic} of {self.path} has {len(data)} bytes, "
+                    f"and at most {MAX_MESSAGE_BYTES} are read"
+                )
+            if found > expected:
+                break
             yield Raw(connection.topic, connection.msgtype, time_ns, bytes(data))
         if found != expected:
             raise BagError(
-                f"recording {self.path} is incomplete: {found} of {expected} messages on "
+                f"recording {self.path} is damaged: it has {found} messages or more on "
+                f"{', '.join(sorted(topics))}, and says that there are {expected}"
+                if found > expected
+                else f"recording {self.path} is incomplete: {found} of {expected} messages on "
                 f"{', '.join(sorted(topics))}"
             )
 

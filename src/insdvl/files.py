@@ -1,11 +1,101 @@
-"""How results reach the disk: whole or not at all, and tried before the work."""
+"""How files are read and written: read within a limit, written whole or not at all."""
 
+import errno
+import io
 import json
 import os
+import stat
 import tempfile
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.lib import format as npy
+from numpy.typing import NDArray
+
+_HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
+_SHOWN = 200  # characters of a value in a message
+
+
+def read(path: Path, limit: int) -> bytes:
+    """The bytes of a file.
+
+    Raises:
+        OSError: It cannot be read, has more than ``limit`` bytes, or is none that ends, such as a
+            pipe or a device.
+    """
+    status = path.stat()
+    if not stat.S_ISREG(status.st_mode):
+        raise OSError(errno.EINVAL, "it is no regular file")
+    with path.open("rb") as file:
+        data = file.read(min(status.st_size, limit) + 1)  # one more: it may grow meanwhile
+    if len(data) > limit:
+        raise OSError(errno.EFBIG, f"it has {status.st_size} bytes, and at most {limit} are read")
+    return data
+
+
+def arrays(data: bytes, limit: int) -> dict[str, NDArray[Any]]:
+    """The arrays in the bytes of an ``.npz`` file.
+
+    Raises:
+        ValueError: They are no such file, it is damaged, an array is of objects, or the arrays have
+            more than ``limit`` bytes.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            entries = archive.infolist()
+            size = sum(entry.file_size for entry in entries)
+            if size > limit:
+                raise ValueError(f"they have {size} bytes, and at most {limit} are read")
+            return {
+                entry.filename.removesuffix(".npy"): _array(_unpacked(archive, entry))
+                for entry in entries
+            }
+    except Exception as error:  # damaged bytes raise what zipfile, zlib or numpy make of them
+        raise ValueError(f"no archive of arrays: {beginning(str(error))}") from error
+
+
+def _unpacked(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> bytes:
+    """The bytes of an entry, of which no more is unpacked than it says that it has."""
+    with archive.open(entry) as file:
+        data = file.read(entry.file_size)
+        if len(data) < entry.file_size or file.read(1):  # the second read also checks the sum
+            raise ValueError(f"{entry.filename} has not the {entry.file_size} bytes that it says")
+    return data
+
+
+def _array(data: bytes) -> NDArray[Any]:
+    """An array from the bytes of an ``.npy`` file.
+
+    numpy's own function makes room for what the header says before it looks for the elements.
+    """
+    file = io.BytesIO(data)
+    version = npy.read_magic(file)
+    if version not in _HEADERS:
+        raise ValueError(f"version {version} is unknown")
+    shape, is_fortran, dtype = _HEADERS[version](file)
+    if dtype.hasobject:
+        raise ValueError("an array is of objects, which may run code")
+    if min(shape, default=0) < 0:
+        raise ValueError(f"an array has the shape {shape}")
+    elements = np.frombuffer(data, dtype, offset=file.tell())
+    return np.array(elements.reshape(shape, order="F" if is_fortran else "C"))
+
+
+def shown(value: Any) -> str:
+    """A value in a message, cut where it is long."""
+    try:
+        text = repr(value)
+    except ValueError:  # Python does not write integers of thousands of digits
+        text = f"an {type(value).__name__} too large to be written"
+    return beginning(text)
+
+
+def beginning(text: str) -> str:
+    """A text in a message, cut where it is long."""
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}... ({len(text)} characters)"
 
 
 def write(path: Path, data: bytes) -> None:

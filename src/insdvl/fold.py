@@ -175,6 +175,27 @@ class Fold:
         self._unpublished: list[_Entry] = []  # DVL measurements, until `take` has given them
         self._stale = 0  # index of the first sample whose state is not valid
         self._published_ns = NEVER
+        self._resumed_ns = NEVER  # stamp of the state of another run, where this one went on
+
+    def resume(self, record: Records) -> None:
+        """Go on from a state of another run: it becomes that of the newest sample.
+
+        The time up to the first sample is a gap. What is not later than the record is too late.
+        Where the samples are of another time than the record the filter starts as it would without
+        it, also where it holds at other time jumps. The counters begin at zero.
+
+        Args:
+            record: (1,) an initialised state of a filter of the same parameters.
+        """
+        self.reset()
+        self._start[0] = record[0]
+        for name in COUNTERS:
+            self._start[name] = 0
+        stamp_ns = int(record[0]["imu_ns"])
+        self._stamps[0], self._f_b[0], self._w_ib_b[0] = stamp_ns, 0.0, 0.0
+        self._states[0] = self._start[0]
+        self._count = self._stale = 1
+        self._published_ns = self._resumed_ns = stamp_ns
 
     # ---------------------------------------------------------------- input
 
@@ -205,6 +226,8 @@ class Fold:
         return reason
 
     def _insert(self, event: Event) -> str | None:
+        if event.stamp_ns <= self._resumed_ns:
+            return "too_late"
         return self._add_imu(event) if isinstance(event, Imu) else self._add_entry(event)
 
     # ---------------------------------------------------------------- another time
@@ -226,7 +249,8 @@ class Fold:
         candidates = [suspect for _, suspect in self._suspects]
         if not is_gap:
             jump = TimeJump(newest_ns, run.first_ns)
-            if self.parameters.jump_action == "hold":
+            resumed = newest_ns == self._resumed_ns  # and no sample has followed: none to hold
+            if self.parameters.jump_action == "hold" and not resumed:
                 self.held = jump
                 return reason
             # What waited for samples of the old time may belong to the new one.

@@ -4,14 +4,19 @@ The cache lives in ``$INSDVL_CACHE_DIR``, else in the user's cache folder. Where
 written the functions are compiled in memory, with one warning. A cache that is full, damaged or
 read-only never stops a program: it costs compile time, and one warning.
 
+What is in the cache is run, as what is in Python's own ``__pycache__`` is: a folder that others own
+or may write to is not used.
+
 numba checks a cached function against its own source file only, not against the files of the
 functions that it calls. The cache folder's name therefore carries a digest of the whole package,
 the interpreter and numba.
 """
 
 import contextlib
+import errno
 import hashlib
 import os
+import stat
 import sys
 import tempfile
 import warnings
@@ -79,7 +84,10 @@ def cache_dir() -> Path | None:
     for candidate in candidates:
         folder = candidate / name
         try:
-            folder.mkdir(parents=True, exist_ok=True)
+            folder.mkdir(mode=0o755, parents=True, exist_ok=True)
+            status = folder.stat()
+            if status.st_uid not in (0, os.getuid()) or status.st_mode & stat.S_IWOTH:
+                raise PermissionError(errno.EPERM, "others own it or may write to it")
             with tempfile.TemporaryFile(dir=folder):
                 return folder
         except OSError as error:

@@ -16,16 +16,15 @@ import argparse
 import contextlib
 import hashlib
 import io
+import itertools
 import json
 import logging
-import os
 import pickle
 import platform
 import re
 import shutil
 import signal
 import sys
-import tempfile
 import time
 import traceback
 import warnings
@@ -37,13 +36,14 @@ from functools import cache
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import joblib
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from insdvl.files import arrays, write
 from insdvl.kernels import source_digest
 
 #: What a task gives.
@@ -201,8 +201,8 @@ def _remove(folder: Path) -> None:
 def _keep(path: Path, result: Result) -> None:
     """Write a result; the file is complete when it takes its name."""
     buffer = io.BytesIO()
-    arrays: dict[str, Any] = dict(result)
-    np.savez(buffer, **arrays)
+    named: dict[str, Any] = dict(result)
+    np.savez(buffer, **named)
     try:
         _write(path, buffer.getvalue())
     except FileNotFoundError:  # another program removed the folder after we had made it
@@ -211,24 +211,17 @@ def _keep(path: Path, result: Result) -> None:
 
 def _write(path: Path, data: bytes) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=".")
-    try:
-        with open(descriptor, "wb") as file:
-            file.write(data)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+    write(path, data)
 
 
 def _kept(path: Path) -> Result | None:
     """The result in a file, or None where it is missing or damaged."""
     try:
-        with np.load(path, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
+        data = path.read_bytes()
+        return arrays(data, len(data))  # they are kept without compression
     except FileNotFoundError:
         return None
-    except Exception as error:  # a damaged file raises whatever its bytes make numpy raise
+    except (OSError, ValueError) as error:
         _say(f"{path} is damaged ({error}) and computed again")
         return None
 
@@ -284,11 +277,11 @@ def _outcome(function: Function, shared: Any, task: Any, path: Path | None) -> _
 
 def _named_arrays(result: Result) -> Result:
     """The arrays, contiguous: a sum over them then has one order, wherever they come from."""
-    arrays = {name: np.asarray(array, order="C") for name, array in result.items()}
-    for name, array in arrays.items():
+    named = {name: np.asarray(array, order="C") for name, array in result.items()}
+    for name, array in named.items():
         if array.dtype.hasobject:
             raise TypeError(f"{name} is no array of numbers or text")
-    return arrays
+    return named
 
 
 class _LostWorkerError(Exception):
@@ -314,44 +307,65 @@ class _Here:
 
 @dataclass(frozen=True)
 class _Loky:
-    """Worker processes of joblib. They keep the results, and so each as soon as there is one."""
+    """Worker processes of joblib. They keep the results, and so each as soon as there is one.
+
+    What they are sent goes through pipes: joblib would put large arrays in files, and is told not
+    to.
+    """
 
     jobs: int
 
     def outcomes(self, work: _Work) -> _Outcomes:
-        with tempfile.TemporaryDirectory(prefix="insdvl-") as folder:
-            shared = Path(folder) / "shared"
-            shared.write_bytes(pickle.dumps(work.shared, pickle.HIGHEST_PROTOCOL))
-            calls = (
-                joblib.delayed(_outcome_on_loky)(work.function, shared, task, work.paths.get(name))
-                for name, task in work.tasks.items()
-            )
-            with joblib.parallel_config(backend="loky", inner_max_num_threads=1):
-                outcomes = joblib.Parallel(self.jobs, return_as="generator", batch_size=1)(calls)
-            try:
-                yield from zip(work.tasks, outcomes, strict=True)
-            except BrokenExecutor as error:
-                raise _LostWorkerError from error
-            finally:
-                with warnings.catch_warnings():  # joblib warns of tasks that are not waited for
-                    warnings.simplefilter("ignore")
-                    outcomes.close()
+        data = pickle.dumps(work.shared, pickle.HIGHEST_PROTOCOL)
+        shared = _Pickled(next(_numbers), data)
+        calls = (
+            joblib.delayed(_outcome_on_loky)(work.function, shared, task, work.paths.get(name))
+            for name, task in work.tasks.items()
+        )
+        with joblib.parallel_config(backend="loky", inner_max_num_threads=1):
+            outcomes = joblib.Parallel(
+                self.jobs, return_as="generator", batch_size=1, max_nbytes=None
+            )(calls)
+        try:
+            yield from zip(work.tasks, outcomes, strict=True)
+        except BrokenExecutor as error:
+            raise _LostWorkerError from error
+        finally:
+            with warnings.catch_warnings():  # joblib warns of tasks that are not waited for
+                warnings.simplefilter("ignore")
+                outcomes.close()
 
 
-def _outcome_on_loky(function: Function, shared: Path, task: Any, path: Path | None) -> _Outcome:
+_numbers = itertools.count()
+
+
+class _Pickled(NamedTuple):
+    """What tasks share, pickled once here, and unpickled once in each worker.
+
+    Attributes:
+        number: Another one for each computation of this process.
+        data: The pickle.
+    """
+
+    number: int
+    data: bytes
+
+
+def _outcome_on_loky(
+    function: Function, shared: _Pickled, task: Any, path: Path | None
+) -> _Outcome:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is answered by the process that waits
     return _outcome(function, _unpickled(shared), task, path)
 
 
-_last_unpickled: dict[Path, Any] = {}
+_last_unpickled: dict[int, Any] = {}
 
 
-def _unpickled(path: Path) -> Any:
-    """What a file holds, read once in each worker."""
-    if path not in _last_unpickled:
+def _unpickled(shared: _Pickled) -> Any:
+    if shared.number not in _last_unpickled:
         _last_unpickled.clear()
-        _last_unpickled[path] = pickle.loads(path.read_bytes())
-    return _last_unpickled[path]
+        _last_unpickled[shared.number] = pickle.loads(shared.data)
+    return _last_unpickled[shared.number]
 
 
 class _Dask:
@@ -413,7 +427,7 @@ class Pool:
         Args:
             function: Of a module that the workers can import; must not change ``shared``.
             tasks: Name, which can be a file's, and argument of each.
-            shared: What all tasks need; sent once to each worker.
+            shared: What all tasks need; sent with each of them.
             store: Keeps finished tasks, also when others fail; what it has is not run again.
             label: What is being done, for the progress line and the store.
 

@@ -17,6 +17,7 @@ EXAMPLES = {
     "insdvl_tuner": "ros_insdvl/config/tuner.yaml",
     "insdvl_simulator": "ros_insdvl_sim/config/simulator.yaml",
     "insdvl_replay": "ros_insdvl_sim/config/replay.yaml",
+    "insdvl_relay": "ros_insdvl_sim/config/relay.yaml",
 }
 
 WIDTH = 100  # of a line in the examples

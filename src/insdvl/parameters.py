@@ -19,7 +19,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar
 
-import yaml
+from insdvl import yaml_files
+from insdvl.files import beginning, shown
 
 _Group = TypeVar("_Group")
 
@@ -125,6 +126,12 @@ class Declaration:
             raise self._wrong_type(value)
         if self.choices and value not in self.choices:
             raise self._out_of_range(value)
+        if type(value) is str and "\0" in value:
+            raise ParameterError(f"parameter '{self.name}' must have no NUL, got {shown(value)}")
+        if type(value) is int and not -(2**63) <= value < 2**63:
+            raise ParameterError(
+                f"parameter '{self.name}' must fit into 64 bits, got {shown(value)}"
+            )
         number = isinstance(value, int | float) and not isinstance(value, bool)
         if number and not self._allows(value):
             raise self._out_of_range(value)
@@ -140,13 +147,13 @@ class Declaration:
 
     def _wrong_type(self, value: Any) -> ParameterError:
         return ParameterError(
-            f"parameter '{self.name}' must be a {self.type_name}, got {value!r} "
+            f"parameter '{self.name}' must be a {self.type_name}, got {shown(value)} "
             f"({type(value).__name__})"
         )
 
     def _out_of_range(self, value: Any) -> ParameterError:
         return ParameterError(
-            f"parameter '{self.name}' must be {self.range_text or 'finite'}, got {value!r}"
+            f"parameter '{self.name}' must be {self.range_text or 'finite'}, got {shown(value)}"
         )
 
 
@@ -171,7 +178,9 @@ def build(group: type[_Group], values: Mapping[str, Any], prefix: str = "") -> _
     for name in values:
         if name.startswith(prefix) and name not in known:
             near = difflib.get_close_matches(name, known, n=3, cutoff=0.0)
-            raise ParameterError(f"unknown parameter '{name}'; the nearest are {', '.join(near)}")
+            raise ParameterError(
+                f"unknown parameter {shown(name)}; the nearest are {', '.join(near)}"
+            )
     return _build(group, values, known, prefix)
 
 
@@ -534,6 +543,18 @@ class FilterParameters:
         unit="s",
         above=0.0,
     )
+    state_file: str = parameter(
+        "",
+        "File in which the node keeps its state; at its start it goes on from there if the first "
+        "IMU stamp is at most jump_limit later. Empty for none; every filter needs its own.",
+    )
+    state_period: float = parameter(
+        1.0,
+        "How often state_file is written, in the time of the stamps.",
+        unit="s",
+        low=0.01,
+        high=3600.0,
+    )
     imu: ImuParameters = field(default_factory=ImuParameters)
     dvl: DvlParameters = field(default_factory=DvlParameters)
     gate: GateParameters = field(default_factory=GateParameters)
@@ -783,6 +804,43 @@ class SimulatorParameters:
     dvl: SimulatedDvlParameters = field(default_factory=SimulatedDvlParameters)
 
 
+@dataclass(frozen=True)
+class RelayParameters:
+    """Parameters of the relay, a link that loses, delays, reorders and doubles messages."""
+
+    topics: tuple[str, ...] = parameter(
+        ("imu/data_raw", "dvl/velocity"),
+        "What is sent on: topics that the filter takes, or the simulator's truth.",
+    )
+    prefix: str = parameter(
+        "sent/", "Each topic is taken from this and its name, and sent on by its name alone."
+    )
+    loss: float = parameter(0.0, "Probability that a message is lost.", low=0.0, high=1.0)
+    duplication: float = parameter(
+        0.0, "Probability that a message that is not lost arrives twice.", low=0.0, high=1.0
+    )
+    delay: float = parameter(
+        0.0, "Time that every message takes at least, of the wall.", unit="s", low=0.0, high=60.0
+    )
+    jitter: float = parameter(
+        0.0,
+        "Largest further delay; each copy of a message has one of its own, evenly distributed, so "
+        "messages that are closer than that overtake each other.",
+        unit="s",
+        low=0.0,
+        high=60.0,
+    )
+    seed: int = parameter(
+        1, "Of all that is random: it decides what becomes of a topic's n-th message.", low=0
+    )
+
+    def __post_init__(self) -> None:
+        if not self.prefix:
+            raise ParameterError(
+                "parameter 'prefix' must not be empty: the relay would hear itself"
+            )
+
+
 #: Sections of a YAML file, and the group that each one builds.
 SECTIONS: Mapping[str, type[Any]] = MappingProxyType(
     {
@@ -790,6 +848,7 @@ SECTIONS: Mapping[str, type[Any]] = MappingProxyType(
         "insdvl_tuner": TunerParameters,
         "insdvl_replay": ReplayParameters,
         "insdvl_simulator": SimulatorParameters,
+        "insdvl_relay": RelayParameters,
     }
 )
 
@@ -816,8 +875,8 @@ def load_section(path: Path, node: str, group: type[_Group], *, required: bool =
             `build` refuses it.
     """
     try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        document = yaml_files.load(path)
+    except (OSError, yaml_files.YamlError) as error:
         raise ParameterError(f"cannot read the parameter file {path}: {error}") from error
     if not isinstance(document, dict):
         raise ParameterError(f"{path} is no ROS 2 parameter file: it has no sections")
@@ -825,7 +884,7 @@ def load_section(path: Path, node: str, group: type[_Group], *, required: bool =
     names = {section: str(section).rsplit("/", 1)[-1] for section in document}
     if required and node not in names.values():
         raise ParameterError(
-            f"{path} has no section '/**/{node}'; it has {', '.join(map(str, document))}"
+            f"{path} has no section '/**/{node}'; it has {beginning(', '.join(map(str, document)))}"
         )
     for section, body in document.items():
         if names[section] != node:
@@ -833,7 +892,13 @@ def load_section(path: Path, node: str, group: type[_Group], *, required: bool =
         given = body.get("ros__parameters") if isinstance(body, dict) else None
         if not isinstance(given, dict):
             raise ParameterError(f"{path}: section {section!r} has no 'ros__parameters'")
-        values.update(_full_names(given))
+        for name, value in _full_names(given):
+            if name in values and values[name] != value:
+                raise ParameterError(
+                    f"{path}, section {section!r}: parameter '{name}' is {shown(value)} here, and "
+                    f"{shown(values[name])} above"
+                )
+            values[name] = value
     try:
         return build(group, {n: v for n, v in values.items() if not is_ros_name(n)})
     except ParameterError as error:

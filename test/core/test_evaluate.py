@@ -129,9 +129,9 @@ def test_a_row_without_its_library_is_left_out_and_said(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
     monkeypatch.setitem(sys.modules, "onnxruntime", None)  # as if it were not installed
-    approaches.estimator.cache_clear()
+    approaches.model.cache_clear()
     code, document = evaluate(tmp_path, "--rows", "dnn,oracle")
-    approaches.estimator.cache_clear()
+    approaches.model.cache_clear()
     assert code == 0
     assert [row["approach"] for row in document["rows"]] == ["oracle"]
     assert "onnxruntime" in document["omitted"]["dnn"]

@@ -177,3 +177,18 @@ def test_another_source_is_another_folder(run, tmp_path):
     other = run(f"sys.path.insert(0, {str(copy)!r})", INSDVL_CACHE_DIR=tmp_path / "cache")
     assert other.folder != outcome.folder
     assert other.folder.parent == outcome.folder.parent
+
+
+def test_a_folder_that_others_may_write_to_is_not_used(run, tmp_path):
+    """What is in it is run: it is as trusted as the package itself."""
+    folder = run(INSDVL_CACHE_DIR=tmp_path / "cache").folder
+    folder.chmod(0o777)
+    outcome = run(INSDVL_CACHE_DIR=tmp_path / "cache")
+    assert outcome.folder.parent == tmp_path / "home" / ".cache" / "insdvl"
+    folder.chmod(0o755)
+    assert run(INSDVL_CACHE_DIR=tmp_path / "cache").folder == folder
+
+
+def test_the_folder_is_its_owners_whatever_the_mask(run, tmp_path):
+    folder = run("import os; os.umask(0)", INSDVL_CACHE_DIR=tmp_path / "cache").folder
+    assert folder.parent == tmp_path / "cache"

@@ -12,8 +12,8 @@ import pytest
 from numpy.typing import NDArray
 from recordings import REPLAY, record, save
 
-from insdvl import bags, cli
-from insdvl.bags import BagReader, BagWriter, Raw, decode, encode
+from insdvl import bags, cli, replay
+from insdvl.bags import BagError, BagReader, BagWriter, Raw, decode, encode
 from insdvl.evaluation.metrics import autocorrelation, normalised_innovations
 from insdvl.events import NS, Dvl, Event, Initial, ProcessNoise
 from insdvl.fold import run
@@ -497,6 +497,18 @@ def test_bad_input_ends_with_one_sentence_and_nothing_written(
     assert said.err.count("\n") == 1
     assert re.search(expected, said.err)
     assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_recording_that_is_too_long_is_refused_before_it_is_read(
+    bag: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    count = len([raw for raw in read(bag, REPLAY) if raw.topic == "imu/data_raw"])
+    monkeypatch.setattr(replay, "MAX_SAMPLES", count)
+    read(bag, REPLAY)
+    monkeypatch.setattr(replay, "MAX_SAMPLES", count - 1)
+    monkeypatch.setattr(BagReader, "raw", None)
+    with pytest.raises(BagError, match=rf"has {count} messages on /imu, and at most"):
+        read(bag, REPLAY)
 
 
 def test_a_damaged_recording_leaves_earlier_results_alone(

@@ -149,7 +149,7 @@ def test_a_card_that_is_no_json_object_is_named(model, text):
         ({"kind": "oracle"}, "kind 'oracle' is unknown, known are forest, network"),
         ({"window": "200"}, "window must be of type int, got '200'"),
         ({"window": True}, "window must be of type int, got True"),
-        ({"window": 2}, "window must be >= 3, got 2"),
+        ({"window": 2}, "window must be >= 3 and <= 10000, got 2"),
         ({"feature_schema": "wavelets"}, "'wavelets' is unknown, known are default, paper"),
         ({"features": list(FEATURE_NAMES[::-1])}, "features are not those of the schema 'paper'"),
         ({"features": []}, "features are not those of the schema 'paper'"),

@@ -5,7 +5,7 @@ import pytest
 
 from insdvl.evaluation.approaches import Setting
 from insdvl.evaluation.metrics import rmse
-from insdvl.evaluation.monte_carlo import TUNING, Run, Study, track
+from insdvl.evaluation.monte_carlo import TUNING, Run, Study, track_of
 from insdvl.fold import FoldResult
 from insdvl.process_noise import variational
 
@@ -49,8 +49,7 @@ def test_a_heavy_prior_keeps_the_prediction() -> None:
 
 
 def body_rmse(fold: FoldResult, run: Run) -> float:
-    s = fold.states
-    return rmse(track(s["C_n_b"], s["v_n"], s["p_n"]).v_b - run.truth.v_b)
+    return rmse(track_of(fold.states).v_b - run.truth.v_b)
 
 
 def test_the_filter_with_a_nominal_q_that_is_too_small_gains() -> None:

@@ -1,5 +1,7 @@
 """The filter node in a graph: what it publishes, and what it does with whatever it is sent."""
 
+import errno
+import os
 from collections.abc import Callable, Iterator
 from functools import cache
 from typing import Any
@@ -17,7 +19,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, NavSatFix, NavSatStatus
 from std_srvs.srv import Trigger
 
-from insdvl import messages
+from insdvl import files, messages
 from insdvl.events import NS
 from insdvl.fold import run
 from insdvl.frames import ENU
@@ -189,17 +191,20 @@ class Graph:
             )
         )
 
-    def status(self) -> tuple[DiagnosticStatus, dict[str, str]]:
-        """The next status, and its values."""
+    def status(self) -> tuple[dict[str, DiagnosticStatus], dict[str, str]]:
+        """The next statuses by cause, and the values of all of them."""
         self.statuses.clear()
         self.until(lambda: self.statuses)
-        status = self.statuses[-1]
-        return status, {item.key: item.value for item in status.values}
+        name = "/auv/insdvl_filter: "
+        causes = {s.name.removeprefix(name): s for s in self.statuses if s.name.startswith(name)}
+        return causes, {item.key: item.value for s in causes.values() for item in s.values}
 
     def odometry(self) -> list[Odometry]:
         return self.received["odometry/filtered"]
 
     def close(self) -> None:
+        if not self.context.ok():
+            return
         self.executor.shutdown()
         self.peer.destroy_node()
         self.filter.destroy_node()
@@ -355,27 +360,26 @@ def test_unknown_noise_is_never_zero_noise(graph: Any) -> None:
 
 def test_dead_tuner_falls_back_to_nominal_and_comes_back(graph: Any) -> None:
     g = graph(**{"process_noise.source": "external", "q_timeout": 0.5})
-    status, values = g.status()
     g.send(*imu_run(1, 3))
     status, values = g.status()
-    assert "Q is nominal" in status.message
+    assert "Q is nominal" in status["process noise"].message
     assert values["Q age [s]"] == "nominal"
     assert float(values["Q sigma f_x [m/s^2]"]) == pytest.approx(0.1)
     g.send(("process_noise", noise_message(START_NS + 2 * STEP_NS)), *imu_run(3, 20))
     status, values = g.status()
-    assert "nominal" not in status.message
+    assert status["process noise"].level == DiagnosticStatus.OK
     assert float(values["Q sigma f_x [m/s^2]"]) == pytest.approx(0.2)
     assert float(values["Q age [s]"]) == pytest.approx(0.17)
     g.send(*imu_run(20, 70))
     status, values = g.status()
-    assert status.level == DiagnosticStatus.WARN
-    assert "nominal" in status.message
+    assert status["process noise"].level == DiagnosticStatus.WARN
+    assert "nominal" in status["process noise"].message
     assert values["q_timeouts"] == "1"
     assert float(values["Q sigma f_x [m/s^2]"]) == pytest.approx(0.1)
     g.send(("process_noise", noise_message(START_NS + 69 * STEP_NS)), *imu_run(70, 72))
     status, values = g.status()
     assert float(values["Q sigma f_x [m/s^2]"]) == pytest.approx(0.2)
-    assert "nominal" not in status.message
+    assert status["process noise"].level == DiagnosticStatus.OK
 
 
 def test_noise_from_the_imu_messages_themselves(graph: Any) -> None:
@@ -467,18 +471,32 @@ def test_gaps_and_rate_are_told(graph: Any) -> None:
     status, values = g.status()
     assert values["gaps"] == "1"
     assert float(values["IMU rate of the stamps [Hz]"]) == pytest.approx(100.0)
-    assert "imu.rate is 50 Hz, the stamps say 100.0 Hz" in status.message
+    assert "imu.rate is 50 Hz, the stamps say 100.0 Hz" in status["imu"].message
+    assert "1 gaps of more than 0.1 s" in status["imu"].message
+    assert status["imu"].level == DiagnosticStatus.WARN
 
 
-def test_status_is_named_as_the_node_and_complains_without_imu(graph: Any) -> None:
+def test_statuses_are_named_by_node_and_cause(graph: Any) -> None:
     g = graph()
-    status, values = g.status()
-    assert status.name == "/auv/insdvl_filter"
-    assert status.level == DiagnosticStatus.ERROR
-    assert "no imu/data_raw received" in status.message
+    causes, values = g.status()
+    assert list(causes) == [
+        "initialisation",
+        "imu",
+        "dvl",
+        "process noise",
+        "time",
+        "frames",
+        "output",
+        "state file",
+        "connections",
+        "unexpected errors",
+    ]
+    assert causes["imu"].level == DiagnosticStatus.ERROR
+    assert "no imu/data_raw received" in causes["imu"].message
+    assert causes["initialisation"].level == DiagnosticStatus.WARN
     g.send(*imu_run(1, 21))
-    status, values = g.status()
-    assert status.level == DiagnosticStatus.OK, status.message
+    causes, values = g.status()
+    assert {c: s.message for c, s in causes.items() if s.level != DiagnosticStatus.OK} == {}
     assert values["received imu/data_raw"] == values["sent odometry/filtered"] == "20"
     assert not [key for key in values if key.startswith("latency")]  # stamps of another year
 
@@ -498,7 +516,7 @@ def test_first_odometry_of_a_topic_initialises(graph: Any) -> None:
     g.send(*imu_run(1, 4))
     assert g.odometry() == []
     status, _ = g.status()
-    assert "not initialised, waits for start" in status.message
+    assert "not initialised, waits for a message on start" in status["initialisation"].message
     g.send(("start", odometry_message(START_NS + 3 * STEP_NS, (7.0, 8.0, 9.0))))
     g.send(*imu_run(4, 6))
     g.send(("start", odometry_message(START_NS + 5 * STEP_NS, (100.0, 0.0, 0.0))))
@@ -541,6 +559,86 @@ def test_reset_starts_again(graph: Any) -> None:
     g.send(start, *imu_run(1, 4))  # a recording that begins again
     first, second = g.odometry()[:3], g.odometry()[3:]
     assert [numbers(m).tolist() for m in second] == [numbers(m).tolist() for m in first]
+
+
+def test_it_goes_on_from_its_state_file_and_forgets_it_at_a_reset(
+    graph: Any, tmp_path: Any
+) -> None:
+    path = tmp_path / "state"
+    parameters = {"state_file": str(path), "state_period": 0.1}
+    first = graph(**parameters)
+    first.send(*imu_run(1, 3), ("set_odometry", odometry_message(START_NS, (7.0, 8.0, 9.0))))
+    first.send(*imu_run(3, 51))
+    causes, values = first.status()
+    assert causes["state file"].level == DiagnosticStatus.OK
+    assert values["state file writes"] == "5"
+    first.close()
+    second = graph(**parameters)
+    # The state of the last write, at 0.41 s, is 0.09 s old.
+    second.send(*imu_run(51, 61))
+    assert [stamp_of(m) for m in second.odometry()] == [
+        START_NS + k * STEP_NS for k in range(51, 61)
+    ]
+    position = second.odometry()[-1].pose.pose.position
+    assert [position.x, position.y, position.z] == pytest.approx([6.4, 8.0, 9.0], abs=0.1)
+    causes, _ = second.status()
+    assert not [c for c, s in causes.items() if s.level != DiagnosticStatus.OK]
+    client = second.peer.create_client(Trigger, "insdvl_filter/reset")
+    second.until(client.service_is_ready)
+    second.until(client.call_async(Trigger.Request()).done)
+    assert not path.exists()
+
+
+@pytest.mark.parametrize(
+    ("changed", "first", "told"),
+    [
+        ({"initial.velocity": [1.0, 0.0, 0.0]}, 51, "'initial.velocity' was [0.0, 0.0, 0.0]"),
+        ({}, 4000, "not within jump_limit"),
+        ({"jump_action": "hold"}, 4000, "not within jump_limit"),
+    ],
+)
+def test_a_state_file_that_does_not_fit_is_told_until_it_is_replaced(
+    graph: Any,
+    tmp_path: Any,
+    capfd: pytest.CaptureFixture[str],
+    changed: dict[str, Any],
+    first: int,
+    told: str,
+) -> None:
+    path = tmp_path / "state"
+    before = graph(state_file=str(path))
+    before.send(*imu_run(1, 51))
+    before.close()
+    parameters = {"state_file": str(path), "state_period": 3600.0} | changed
+    g = graph(**parameters)
+    g.send(*imu_run(first, first + 20))
+    assert len(g.odometry()) == 20  # of a filter that has just started
+    assert g.odometry()[0].pose.covariance[0] == pytest.approx(0.01, rel=0.01)
+    assert g.filter._state_file.writes == 1
+    (line,) = (text for text in capfd.readouterr().err.splitlines() if "is not used" in text)
+    assert told in line
+    assert "the filter starts as initial.mode says, 'parameters'" in line
+
+
+def test_a_full_disk_does_not_stop_the_filter(
+    graph: Any, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Any, data: bytes) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    g = graph(state_file=str(tmp_path / "state"), state_period=0.1)
+    with monkeypatch.context() as broken:
+        broken.setattr(files, "write", full)
+        g.send(*imu_run(1, 51))
+        causes, values = g.status()
+        assert causes["state file"].level == DiagnosticStatus.WARN
+        assert "No space left on device" in causes["state file"].message
+        assert values["state file failures"] == "5"
+        assert len(g.odometry()) == 50
+    g.send(*imu_run(51, 71))
+    causes, values = g.status()
+    assert causes["state file"].level == DiagnosticStatus.OK
+    assert len(g.odometry()) == 70
 
 
 def test_sensors_may_be_best_effort_and_noise_volatile(graph: Any) -> None:

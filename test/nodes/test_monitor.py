@@ -113,13 +113,16 @@ def test_diagnostics_and_noise_are_shown(graph: Graph) -> None:
         "rejected dvl: gate": "3",
         "rejected imu/data_raw: duplicate": "4",
     }
-    status = DiagnosticStatus(
-        name="/b/insdvl_filter",
+    dvl = DiagnosticStatus(
+        name="/b/insdvl_filter: dvl",
         level=DiagnosticStatus.WARN,
         message="no DVL for 7 s",
         values=[KeyValue(key=key, value=value) for key, value in values.items()],
     )
-    graph.send("/diagnostics", [DiagnosticArray(status=[status])])
+    imu = DiagnosticStatus(name="/b/insdvl_filter: imu", values=[KeyValue(key="gaps", value="2")])
+    other = DiagnosticStatus(name="/c/insdvl_filter: imu", level=DiagnosticStatus.ERROR)
+    graph.send("/diagnostics", [DiagnosticArray(status=[imu, dvl, other])])
+    assert graph.monitor.values["/b/insdvl_filter"] == {**values, "gaps": "2"}
     learned = Imu()
     learned.linear_acceleration_covariance = flat_covariance(np.diag([0.01, 0.04, 0.09]), 3)
     graph.send("process_noise", [learned])
@@ -128,7 +131,7 @@ def test_diagnostics_and_noise_are_shown(graph: Graph) -> None:
     assert "2.950" in row
     assert "99.9" in row
     assert " 7 " in row
-    assert row.endswith("warn: no DVL for 7 s")
+    assert row.endswith("warn: dvl: no DVL for 7 s")
     noise = next(line for line in lines if line.startswith("learned"))
     assert noise.split() == ["learned", "0.1000", "0.2000", "0.3000", "-", "-", "-"]
 

@@ -79,6 +79,40 @@ def imu_message(k: int) -> Imu:
     return message
 
 
+def test_killed_and_restarted_it_goes_on_from_its_state_file(peer: Peer) -> None:
+    received: list[Odometry] = []
+    peer.node.create_subscription(Odometry, "odometry/filtered", received.append, RELIABLE)
+    publisher = peer.node.create_publisher(Imu, "imu/data_raw", RELIABLE)
+    arguments = [*FILTER, "-p", f"state_file:={peer.folder / 'state'}", "-p", "state_period:=0.1"]
+
+    def fly(first: int, last: int) -> subprocess.Popen[bytes]:
+        process = peer.start("filter", *arguments)
+        # One that was killed stays in the graph for a while, and its shared memory for ever.
+        nodes = len(peer.processes)
+        peer.until(lambda: publisher.get_subscription_count() == nodes)
+        peer.until(lambda: peer.node.count_publishers("odometry/filtered") == nodes)
+        target = len(received) + last - first
+        for k in range(first, last):
+            publisher.publish(imu_message(k))
+        peer.until(lambda: len(received) == target)
+        return process
+
+    killed = fly(1, 301)
+    before = received[-1]
+    killed.kill()
+    killed.wait()
+    process = fly(401, 431)
+    after = received[-30]
+    assert stamp_ns(after.header) == START_NS + 401 * NS // 100
+    assert after.pose.pose.position.z == pytest.approx(before.pose.pose.position.z, abs=0.5)
+    # Of 1.09 s from the state that was written last, at 2.91 s: 0.5 m/s^2 may have gone unseen.
+    grown = after.twist.covariance[14] - before.twist.covariance[14]
+    assert 1.0 * 0.5 < grown**0.5 < 1.2 * 0.5
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(DEADLINE) == 0
+    assert "goes on from the state at stamp 1700000002.9" in peer.output(process)
+
+
 def test_two_processes_lose_nothing(peer: Peer) -> None:
     received: list[Odometry] = []
     peer.node.create_subscription(Odometry, "odometry/filtered", received.append, RELIABLE)

@@ -203,8 +203,8 @@ def test_unusable_messages_are_counted_and_named_in_the_diagnostics(graph):
     graph.wait_for_stamps(boundaries(3, 5))
 
     def value(name: str) -> str | None:
-        values = {entry.key: entry.value for entry in statuses[-1].values} if statuses else {}
-        return values.get(name)
+        found = [e.value for s in statuses for e in s.values if e.key == name]
+        return found[-1] if found else None
 
     graph.until(lambda: value("samples") == "495")
     assert value("rejected imu/data_raw: not_finite") == "2"
@@ -214,17 +214,26 @@ def test_unusable_messages_are_counted_and_named_in_the_diagnostics(graph):
     assert value("model") == "default"
     assert value("sent process_noise") == "3"
     assert float(value("Q sigma f_x [m/s^2]")) == pytest.approx(0.1, rel=0.2)
-    assert statuses[-1].level == DiagnosticStatus.OK
+    imu = [s for s in statuses if s.name == "/auv/insdvl_tuner: imu"][-1]
+    assert imu.level == DiagnosticStatus.WARN
+    for text in ("2 not_finite", "1 no_data", "1 duplicates", "1 out_of_order"):
+        assert text in imu.message
 
 
 def test_the_diagnostics_warn_of_a_tuner_that_is_disabled_or_deaf(graph):
-    assert graph.tuner.status().level == DiagnosticStatus.ERROR
-    assert "imu/data_raw" in graph.tuner.status().message
+    def told(cause: str) -> tuple[bytes, str]:
+        (status,) = (s for s in graph.tuner.statuses() if s.cause == cause)
+        return status.level, status.message
+
+    level, message = told("imu")
+    assert level == DiagnosticStatus.ERROR
+    assert "no imu/data_raw received" in message
     graph.send([imu_message(0, samples(1)[0])])
-    assert graph.tuner.status().level == DiagnosticStatus.OK
+    assert {s.level for s in graph.tuner.statuses()} == {DiagnosticStatus.OK}
     graph.enable(False)
-    assert graph.tuner.status().level == DiagnosticStatus.WARN
-    assert "disabled" in graph.tuner.status().message
+    level, message = told("process noise")
+    assert level == DiagnosticStatus.WARN
+    assert "disabled" in message
 
 
 def test_a_wrong_parameter_is_named():

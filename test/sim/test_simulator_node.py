@@ -332,7 +332,7 @@ def test_diagnostics(graph):
         return {v.key: v.value for v in told[-1].status[0].values} if told else {}
 
     graph.until(lambda: int(values().get("sent imu/data_raw", 0)) > 0)
-    assert told[-1].status[0].name == "/auv/insdvl_simulator"
+    assert told[-1].status[0].name == "/auv/insdvl_simulator: mission"
     assert float(values()["mission time [s]"]) > 0.0
     assert float(values()["mission duration [s]"]) == 3600.0
     assert node.outputs["imu/data_raw"].count >= int(values()["sent imu/data_raw"])

@@ -26,7 +26,7 @@ ROSDEP_KEYS = {
 }
 PIP_NAMES = {"sklearn": "scikit-learn", "yaml": "pyyaml"}
 PIP_ONLY = {"numba", "rosbags"}  # no rosdep key on Ubuntu 24.04
-COMES_ALONG = {"threadpoolctl"}  # no rosdep key either, and scikit-learn needs it
+COMES_ALONG = {"lz4", "threadpoolctl"}  # rosbags and scikit-learn need them
 # Imported where they are needed, and not before: each is in an extra of that name.
 EXTRAS = {"dask": {"dask", "distributed"}, "dnn": {"onnx", "torch"}, "onnx": {"onnxruntime"}}
 OPTIONAL = set().union(*EXTRAS.values())

@@ -16,7 +16,7 @@ import numpy as np
 from insdvl.parameters import FilterParameters, build
 from insdvl.simulation.trajectories import AUV
 from insdvl.tuner.closed_form import degree_5
-from insdvl.tuner.models import ModelError, load_model
+from insdvl.tuner.models import Model, ModelError, load_model
 from insdvl.tuner.offline import Estimator
 
 #: What the filter believes, by preset: `calibrated` is this project's filter; `paper` the published
@@ -224,34 +224,40 @@ def model_of(row: str) -> str | None:
     return row.removeprefix(OWN_MODEL) if row.startswith(OWN_MODEL) else LEARNED.get(row)
 
 
-def fingerprint(rows: Sequence[str]) -> dict[str, str]:
-    """SHA-256 of the models that the rows use, by row."""
-    missing = unavailable(rows)
-    models = {row: model_of(row) for row in rows if row not in missing}
-    return {row: load_model(name).card["sha256"] for row, name in models.items() if name}
-
-
 @cache
-def estimator(learner: str) -> tuple[Estimator, int]:
-    """The estimator of a learner, and its window.
+def model(row: str) -> Model | None:
+    """The model of a row, None where the row has none; read once.
 
     Raises:
-        ModelError: Its model cannot be used.
+        ModelError: It cannot be used.
     """
-    name = model_of(learner)
-    if name is None:
-        return degree_5, WINDOW
-    model = load_model(name)
-    return model.variances, model.window
+    name = model_of(row)
+    return None if name is None else load_model(name)
 
 
 def unavailable(rows: Sequence[str]) -> dict[str, str]:
     """Rows that cannot be computed here, and why."""
     reasons = {}
     for row in rows:
-        if model_of(row) is not None:
-            try:
-                estimator(row)
-            except ModelError as error:
-                reasons[row] = str(error)
+        try:
+            model(row)
+        except ModelError as error:
+            reasons[row] = str(error)
     return reasons
+
+
+def fingerprint(rows: Sequence[str]) -> dict[str, str]:
+    """SHA-256 of the models that the rows use, by row."""
+    missing = unavailable(rows)
+    models = {row: model(row) for row in rows if row not in missing}
+    return {row: found.card["sha256"] for row, found in models.items() if found is not None}
+
+
+def estimator(learner: str) -> tuple[Estimator, int]:
+    """The estimator of a learner, and its window.
+
+    Raises:
+        ModelError: Its model cannot be used.
+    """
+    found = model(learner)
+    return (degree_5, WINDOW) if found is None else (found.variances, found.window)

@@ -2,14 +2,14 @@
 
 import argparse
 import sys
-from collections.abc import Collection, Iterable
 from dataclasses import asdict
 from pathlib import Path
 
 from insdvl import parallel
 from insdvl.evaluation import plots, tables
 from insdvl.evaluation.approaches import OWN_MODEL, PRESETS, ROWS, Setting, fingerprint
-from insdvl.evaluation.comparison import MIN_RUNS, Plan, compare
+from insdvl.evaluation.comparison import Plan, compare
+from insdvl.evaluation.options import check_names, check_numbers
 from insdvl.files import check_writable, json_text, write
 from insdvl.parallel import Store, TaskError
 from insdvl.simulation.noise import SCENARIOS
@@ -114,16 +114,12 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _plan(arguments: argparse.Namespace) -> Plan:
     rows = ROWS if arguments.rows is None else tuple(arguments.rows.split(","))
-    _known("--scenario", [arguments.scenario], SCENARIOS)
-    _known("--preset", [arguments.preset], PRESETS)
+    check_names("--scenario", [arguments.scenario], SCENARIOS)
+    check_names("--preset", [arguments.preset], PRESETS)
     if arguments.error_state:
-        _known("--error-state", [arguments.error_state], ERROR_STATES)
-    _known("--rows", rows, ROWS)
-    for option, value in ("--runs", arguments.runs), ("--tuning-runs", arguments.tuning_runs):
-        if value < MIN_RUNS:
-            raise ValueError(f"{option} must be >= {MIN_RUNS}, got {value}")
-    if arguments.seed < 0:
-        raise ValueError(f"--seed must be >= 0, got {arguments.seed}")
+        check_names("--error-state", [arguments.error_state], ERROR_STATES)
+    check_names("--rows", rows, ROWS)
+    check_numbers(arguments)
     if arguments.duration is not None and not 10.0 <= arguments.duration <= AUV.duration:
         raise ValueError(
             f"--duration must be within 10 to {AUV.duration:g} s, got {arguments.duration:g}"
@@ -141,9 +137,3 @@ def _plan(arguments: argparse.Namespace) -> Plan:
         rows=rows,
         duration=arguments.duration,
     )
-
-
-def _known(option: str, values: Iterable[str], known: Collection[str]) -> None:
-    for value in values:
-        if value not in known:
-            raise ValueError(f"{option}: unknown name {value!r}; known are {', '.join(known)}")

@@ -25,7 +25,7 @@ from insdvl.evaluation.approaches import (
     nominal,
     unavailable,
 )
-from insdvl.evaluation.monte_carlo import METRICS, Study, evaluate_run, tuning_run
+from insdvl.evaluation.monte_carlo import METRICS, Study, evaluate_run, numbered, tuning_run
 from insdvl.parallel import Pool, Store
 
 Array = NDArray[np.float64]
@@ -85,7 +85,7 @@ def compare(plan: Plan, pool: Pool, store: Store | None = None) -> Comparison:
 
     results = pool.run(
         evaluate_run,
-        {f"{number}": number for number in range(plan.runs)},
+        numbered(plan.runs),
         shared=(study, tuple(approaches)),
         store=store,
         label=f"{plan.scenario}: runs",
@@ -131,7 +131,7 @@ def _approaches(
         """Mean errors (A, 2) of the candidates: RMSE of the body velocity, SRMSE."""
         results = pool.run(
             tuning_run,
-            {f"{number}": number for number in range(plan.tuning_runs)},
+            numbered(plan.tuning_runs),
             shared=(study, tuple(candidates)),
             store=store,
             label=f"{plan.scenario}: {stage}",

@@ -28,6 +28,7 @@ from insdvl.evaluation.metrics import (
     autocorrelation,
     nees,
     normalised_innovations,
+    rmse,
     scores,
 )
 from insdvl.events import NS, Dvl, Event, Initial, ProcessNoise
@@ -39,6 +40,7 @@ from insdvl.simulation.trajectories import AUV
 from insdvl.tuner.offline import Estimator, tuned
 
 Array = NDArray[np.float64]
+Records = NDArray[np.void]
 
 #: Splits: first keys of the random streams.
 TEST, TUNING = 2000, 2001
@@ -77,7 +79,7 @@ SERIES = ("body_velocity", "body_velocity_variance", "heading", "heading_varianc
 FAILURE_SPEED = 5.0  # m/s: a body velocity error above it for FAILURE_TIME is a failure
 FAILURE_TIME = 10.0  # s
 RATE, MAX_GAP = 1.0, 0.1  # Hz, s: of the tuner, as by default
-_NEES_STEP = 25  # samples: four times a second, at and between the updates
+_NEES_RATE = 4  # times a second, at and between the updates
 
 
 @dataclass(frozen=True)
@@ -93,6 +95,11 @@ class Study:
     scenario: str
     seed: int
     duration: float | None = None
+
+
+def numbered(runs: int) -> dict[str, int]:
+    """The numbers of so many runs, as tasks."""
+    return {f"{number}": number for number in range(runs)}
 
 
 def mission_of_run(study: Study, split: int, run: int) -> Mission:
@@ -173,6 +180,12 @@ def track(C_n_b: Array, v_n: Array, p_n: Array) -> Track:
     return Track(C_n_b, np.einsum("kji,kj->ki", C_n_b, v_n), p_n)
 
 
+def track_of(states: Records) -> Track:
+    """The track of a filter's states (N,)."""
+    C_n_b, v_n, p_n = (np.ascontiguousarray(states[name]) for name in ("C_n_b", "v_n", "p_n"))
+    return track(C_n_b, v_n, p_n)
+
+
 def perfect_heading(result: Track, truth: Track) -> Track:
     """A result whose error about the vertical is taken out of attitude and velocity."""
     psi = attitude_error(result.C_n_b, truth.C_n_b)
@@ -198,22 +211,20 @@ def assess(fold: FoldResult, run: Run) -> tuple[Array, Array]:
     """
     m, truth, s = run.mission, run.truth, fold.states
     rate = fold.filter.parameters.imu.rate
-    every_second = slice(round(rate) - 1, None, round(rate))
-    series = np.full((len(s[every_second]), len(SERIES)), np.nan)
-    result = track(
-        np.ascontiguousarray(s["C_n_b"]),
-        np.ascontiguousarray(s["v_n"]),
-        np.ascontiguousarray(s["p_n"]),
-    )
+    step = round(rate) // _NEES_RATE
+    at = slice(step - 1, None, step)
+    seconds = slice(_NEES_RATE - 1, None, _NEES_RATE)  # of what is taken at those
+    series = np.full((len(s[at][seconds]), len(SERIES)), np.nan)
+    result = track_of(s)
     if failed(result, truth, rate):
         return _failure(), series
-    n, invariant = fold.filter.n, fold.filter.invariant
     values = _errors(result, truth)
 
-    at = slice(_NEES_STEP - 1, None, _NEES_STEP)
     P = s["P"][at]
-    J = body_velocity_jacobian(result.C_n_b[at], s["v_n"][at], invariant=invariant, n=n)
-    J = np.concatenate([J, np.broadcast_to(np.eye(n)[ATTITUDE], J.shape)], axis=1)
+    J = body_velocity_jacobian(
+        result.C_n_b[at], s["v_n"][at], invariant=fold.filter.invariant, n=fold.filter.n
+    )
+    J = np.concatenate([J, np.broadcast_to(np.eye(fold.filter.n)[ATTITUDE], J.shape)], axis=1)
     P_va = J @ P @ np.swapaxes(J, 1, 2)
     dv = (truth.v_b - result.v_b)[at]
     psi = attitude_error(result.C_n_b[at], truth.C_n_b[at])
@@ -236,15 +247,10 @@ def assess(fold: FoldResult, run: Run) -> tuple[Array, Array]:
     values["nis"] = float(np.mean([r.nis for r in reports]))
     values["innovation_autocorrelation"] = autocorrelation(z, 1)[0]
 
-    P = s["P"][every_second]
-    J = body_velocity_jacobian(
-        result.C_n_b[every_second], s["v_n"][every_second], invariant=invariant, n=n
-    )
-    heading = attitude_error(result.C_n_b[every_second], truth.C_n_b[every_second])[:, 2]
-    series[:, 0] = np.sum((truth.v_b - result.v_b)[every_second] ** 2, axis=1)
-    series[:, 1] = np.einsum("kij,kjl,kil->k", J, P, J)
-    series[:, 2] = np.degrees(heading) ** 2
-    series[:, 3] = np.degrees(np.degrees(P[:, ATTITUDE.stop - 1, ATTITUDE.stop - 1]))
+    series[:, 0] = np.sum(dv[seconds] ** 2, axis=1)
+    series[:, 1] = np.trace(P_va[seconds, :3, :3], axis1=1, axis2=2)
+    series[:, 2] = np.degrees(psi[seconds, 2]) ** 2
+    series[:, 3] = np.degrees(np.degrees(P_va[seconds, 5, 5]))
     return np.array([values.get(name, np.nan) for name in METRICS]), series
 
 
@@ -289,10 +295,7 @@ def evaluate_run(shared: tuple[Study, Sequence[Approach]], number: int) -> dict[
         fold = run.fold(approach)
         assessed.append(assess(fold, run))
         if approach.learner == ORACLE:
-            s = fold.states
-            floors[1] = assess_track(
-                perfect_heading(track(s["C_n_b"], s["v_n"], s["p_n"]), truth), truth
-            )
+            floors[1] = assess_track(perfect_heading(track_of(fold.states), truth), truth)
     return {
         "scores": np.array([values for values, _ in assessed]),
         "series": np.array([series for _, series in assessed]),
@@ -310,11 +313,9 @@ def tuning_run(shared: tuple[Study, Sequence[Approach]], number: int) -> dict[st
     run = Run(study, TUNING, number)
     rows = []
     for approach in approaches:
-        fold = run.fold(approach)
-        result = track(fold.states["C_n_b"], fold.states["v_n"], fold.states["p_n"])
-        if failed(result, run.truth, approach.parameters.imu.rate):
+        result, truth = track_of(run.fold(approach).states), run.truth
+        if failed(result, truth, approach.parameters.imu.rate):
             rows.append((np.inf, np.inf))
         else:
-            errors = scores(result, run.truth)
-            rows.append((errors.body_velocity_rmse, errors.srmse))
+            rows.append((rmse(truth.v_b - result.v_b), rmse(truth.v_n - result.v_n)))
     return {"errors": np.array(rows)}

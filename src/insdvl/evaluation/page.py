@@ -381,17 +381,12 @@ def _against_zero_velocity(document: Mapping[str, Any]) -> str:
 
 
 def _error_state_and_gate(documents: Documents) -> str:
-    parts = []
-    for part, title in (
-        ("varying-ned", "`varying`, error state `ned`"),
-        ("varying-gate", "`varying`, invariant, with the chi-square gate (0.999)"),
-    ):
-        if part in documents:
-            document = documents[part]
-            text = tables.errors(document) + "\n" + tables.consistency(document)
-            parts.append(f"### {title}\n\n{text}")
-        else:
-            parts.append(f"### {title}\n\n{_missing(part)}")
+    parts = [
+        _comparison(documents, "varying-ned", "`varying`, error state `ned`"),
+        _comparison(
+            documents, "varying-gate", "`varying`, invariant, with the chi-square gate (0.999)"
+        ),
+    ]
     return _section(
         "Error state and gate",
         """

@@ -24,7 +24,8 @@ from insdvl.evaluation.approaches import (
     Setting,
     fingerprint,
 )
-from insdvl.evaluation.comparison import MIN_RUNS, Plan, compare
+from insdvl.evaluation.comparison import Plan, compare
+from insdvl.evaluation.options import check_names, check_numbers
 from insdvl.files import check_writable, json_text, write
 from insdvl.parallel import Pool, Store, TaskError
 from insdvl.simulation.noise import SCENARIOS
@@ -35,23 +36,20 @@ _FEW = (FIRST_CONSTANT, "hcf default", BEST_CONSTANT, CLOSED_FORM, ORACLE)
 #: Rows of the pictures over time.
 _DRAWN = (FIRST_CONSTANT, BEST_CONSTANT, "hcf default", ORACLE)
 
-_FEW_RUNS = 15
-#: Where all rows are alike, fewer runs show it.
-_PAPER_RUNS = {"constant": 100, "constant-tableI": 25, "varying": 50, "wide": 25}
-
 #: The comparisons, by part.
 PLANS: Mapping[str, Plan] = {
-    **{f"{name}-calibrated": Plan(name, Setting("calibrated")) for name in SCENARIOS},
-    **{f"{name}-paper": Plan(name, Setting("paper"), runs=n) for name, n in _PAPER_RUNS.items()},
-    "constant-paper-no-walk": Plan("constant", Setting("paper-no-walk"), runs=_FEW_RUNS, rows=_FEW),
-    "varying-ned": Plan(
-        "varying", Setting("calibrated", error_state="ned"), runs=_FEW_RUNS, rows=_FEW
-    ),
-    "varying-gate": Plan("varying", Setting("calibrated", gate=True), runs=_FEW_RUNS, rows=_FEW),
+    **{
+        f"{scenario}-{preset}": Plan(scenario, Setting(preset))
+        for preset in ("calibrated", "paper")
+        for scenario in SCENARIOS
+    },
+    "constant-paper-no-walk": Plan("constant", Setting("paper-no-walk"), rows=_FEW),
+    "varying-ned": Plan("varying", Setting("calibrated", error_state="ned"), rows=_FEW),
+    "varying-gate": Plan("varying", Setting("calibrated", gate=True), rows=_FEW),
 }
 ACCURACY, WINDOW, VEHICLE = "q-accuracy", "window", "vehicle"
 PARTS = (ACCURACY, *PLANS, WINDOW, VEHICLE)
-_WINDOW_RUNS = 10
+_WINDOW_RUNS = 40
 _RECORDING_RUNS, _RECORDING_TUNING_RUNS = 10, 3  # of each recording and injection
 
 
@@ -76,7 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--runs",
         type=int,
         metavar="N",
-        help="of each comparison (default: 100 of the main ones, fewer of the others)",
+        help="of each comparison (default: 100)",
     )
     parser.add_argument("--tuning-runs", type=int, default=5, metavar="N", help="(default: 5)")
     parser.add_argument("--seed", type=int, default=1, help="of all parts (default: 1)")
@@ -108,18 +106,12 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _parts(arguments: argparse.Namespace) -> list[str]:
     """The parts that are asked for, in their order."""
-    for option, value in ("--runs", arguments.runs), ("--tuning-runs", arguments.tuning_runs):
-        if value is not None and value < MIN_RUNS:
-            raise ValueError(f"{option} must be >= {MIN_RUNS}, got {value}")
-    if arguments.seed < 0:
-        raise ValueError(f"--seed must be >= 0, got {arguments.seed}")
+    check_numbers(arguments)
     recorded = arguments.recordings is not None and arguments.config is not None
     if arguments.parts is None:
         return [part for part in PARTS if part != VEHICLE or recorded]
     asked = [] if arguments.parts == "none" else arguments.parts.split(",")
-    for part in asked:
-        if part not in PARTS:
-            raise ValueError(f"--parts: unknown name {part!r}; known are {', '.join(PARTS)}")
+    check_names("--parts", asked, PARTS)
     if VEHICLE in asked and not recorded:
         raise ValueError(f"--parts {VEHICLE} needs --recordings and --config")
     return [part for part in PARTS if part in asked]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from insdvl.evaluation import statistics
 from insdvl.evaluation.approaches import Setting
 from insdvl.evaluation.metrics import rmse
-from insdvl.evaluation.monte_carlo import TEST, Run, Study, track
+from insdvl.evaluation.monte_carlo import TEST, Run, Study, numbered, track_of
 from insdvl.evaluation.tables import interval, number, table
 from insdvl.fold import FoldResult
 from insdvl.parallel import Pool, Store
@@ -62,8 +62,7 @@ def window_run(shared: tuple[Study, Mapping[int, Model]], number: int) -> dict[s
 
 
 def _body_rmse(fold: FoldResult, run: Run) -> float:
-    s = fold.states
-    return rmse(track(s["C_n_b"], s["v_n"], s["p_n"]).v_b - run.truth.v_b)
+    return rmse(track_of(fold.states).v_b - run.truth.v_b)
 
 
 def _q_error(run: Run, stamps_ns: NDArray[np.int64], variances: Array) -> float:
@@ -113,7 +112,7 @@ def study(
     for profile in PROFILES:
         results = pool.run(
             window_run,
-            {f"{run}": run for run in range(runs)},
+            numbered(runs),
             shared=(Study(profile, seed), models),
             store=store,
             label=f"window and rate: {profile}",
@@ -137,7 +136,7 @@ def study(
 
 def markdown(document: Mapping[str, Any]) -> str:
     """The study's tables."""
-    parts = []
+    parts = [f"{document['runs']} runs of each profile, seed {document['seed']}.\n"]
     for profile, numbers in document["profiles"].items():
         parts.append(
             f"`{profile}`: each channel changes {PROFILES[profile]}. Body velocity RMSE over that "

@@ -11,10 +11,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from insdvl.files import read, shown
+
 Array = NDArray[np.float64]
 
 ACCELEROMETER_VARIANCE = 0.01  # (m/s^2)^2
 GYROSCOPE_VARIANCE = 0.001  # (rad/s)^2
+
+MAX_FILE_BYTES = 8 * 2**20  # a change of all variances every 0.1 s for more than an hour
 
 
 @dataclass(frozen=True)
@@ -34,9 +38,14 @@ class NoiseProfile:
             raise ValueError(
                 f"variances must be of shape ({self.times.size}, 6), got {self.variances.shape}"
             )
-        increasing = np.isfinite(self.times).all() and (np.diff(self.times) > 0.0).all()
-        if not self.times.size or self.times[0] != 0.0 or not increasing:
-            raise ValueError(f"times must start at 0 and increase, got {self.times.tolist()}")
+        if not self.times.size or self.times[0] != 0.0:
+            raise ValueError(
+                f"times must start at 0 and increase, got {self.times[:1].tolist()} first"
+            )
+        increasing = np.isfinite(self.times[1:]) & (np.diff(self.times) > 0.0)
+        if not increasing.all():
+            before, after = self.times[int(increasing.argmin()) :][:2]
+            raise ValueError(f"times must start at 0 and increase, got {after} behind {before}")
         wrong = ~(np.isfinite(self.variances) & (self.variances >= 0.0))
         if wrong.any():
             raise ValueError(f"variances must be finite and >= 0, got {self.variances[wrong][0]!r}")
@@ -112,7 +121,7 @@ def from_file(path: Path) -> ProfileFactory:
         ValueError: The file cannot be read, or a line is wrong; the message names it.
     """
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = read(path, MAX_FILE_BYTES).decode("utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise ValueError(f"cannot read the noise profile {path}: {error}") from error
     rows = []
@@ -124,7 +133,7 @@ def from_file(path: Path) -> ProfileFactory:
         try:
             row = [float(cell) for cell in cells]
         except ValueError:
-            raise ValueError(f"{path}, line {number}: not seven numbers: {text!r}") from None
+            raise ValueError(f"{path}, line {number}: not seven numbers: {shown(text)}") from None
         if len(row) != 7:
             raise ValueError(f"{path}, line {number}: 7 values are needed, got {len(row)}")
         rows.append(row)

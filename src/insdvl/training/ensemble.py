@@ -4,7 +4,6 @@
 """
 
 import io
-import platform
 from collections.abc import Callable
 from typing import Any
 
@@ -17,11 +16,10 @@ from sklearn.ensemble import BaggingRegressor
 from sklearn.tree import DecisionTreeRegressor
 
 from insdvl.parallel import Pool, Result, Store
-from insdvl.training import dataset
+from insdvl.training import dataset, procedure
 from insdvl.training.dataset import Indices, Recipe
-from insdvl.training.metrics import RANDOM, TARGETS, described, metrics_of, splits_of
+from insdvl.training.procedure import Method
 from insdvl.tuner.forest import LEAF, Forest
-from insdvl.tuner.schemas import SCHEMAS
 
 Array = NDArray[np.float64]
 
@@ -115,51 +113,25 @@ def train(
         say: Is told what is being done.
         n_windows: See `Recipe`.
     """
-    schema = SCHEMAS[preset]
-    recipe = Recipe(preset, seed, window, n_windows)
-    data = dataset.build(recipe, pool, store)
-    say(f"data set: {data.q.size} examples, {data.X.shape[1]} features")
-
-    splits = splits_of(data, seed)
-    fits = pool.run(
-        _fit,
-        {name: training for name, (training, _) in splits.items()},
-        shared=(data.X, schema.encode(data.q, data.scale), PRESETS[preset], seed),
-        store=store,
-        label=f"fits {recipe.name}",
-    )
-    forests = {name: Forest(arrays) for name, arrays in zip(splits, fits, strict=True)}
-
-    def predict(split: str, examples: Indices) -> Array:
-        answers = forests[split].predict(data.X[examples])
-        return schema.decode(answers, data.scale[examples])
-
-    metrics = metrics_of(data, splits, predict, say)
-    card = {
-        "kind": "forest",
-        "feature_schema": preset,
-        "features": list(schema.names),
-        "target": TARGETS[schema.relative],
-        "window": window,
-        "data_set": described(recipe, data),
-        "ensemble": {
-            "trees": TREES,
-            "min_samples_leaf": PRESETS[preset],
-            "seed": seed,
-            "trained_on": RANDOM,
-        },
-        "metrics": metrics,
-        "versions": {
-            "python": platform.python_version(),
+    method = Method(
+        kind="forest",
+        fit=_fit,
+        settings=(PRESETS[preset], seed),
+        regressor=Forest,
+        described_as=("ensemble", {"trees": TREES, "min_samples_leaf": PRESETS[preset]}),
+        versions={
             "numpy": np.__version__,
             "scipy": scipy.__version__,
             "scikit-learn": sklearn.__version__,
             "joblib": joblib.__version__,
         },
-    }
+    )
+    fitted, card = procedure.train(
+        method, Recipe(preset, seed, window, n_windows), pool, store, say
+    )
     # Not compressed, so that the bytes, and the hash, do not depend on a compressor's version.
     buffer = io.BytesIO()
-    arrays: dict[str, Any] = forests[RANDOM].arrays
+    arrays: dict[str, Any] = dict(fitted)
     np.savez(buffer, **arrays)
     return buffer.getvalue(), card
 

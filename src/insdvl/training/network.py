@@ -28,7 +28,6 @@ torch, onnx (`insdvl[dnn]`) and onnxruntime (`insdvl[onnx]`) are imported when a
 not before.
 """
 
-import platform
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -38,9 +37,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl.parallel import Pool, Result, Store
-from insdvl.training import dataset
+from insdvl.training import dataset, procedure
 from insdvl.training.dataset import Indices, Recipe
-from insdvl.training.metrics import RANDOM, TARGETS, described, metrics_of, splits_of
+from insdvl.training.procedure import Method
 from insdvl.tuner.network import Network
 from insdvl.tuner.schemas import SCHEMAS
 
@@ -246,53 +245,30 @@ def train(
         say: Is told what is being done.
         n_windows: See `Recipe`.
     """
-    name, epochs = PRESETS[preset].schema, PRESETS[preset].epochs
-    schema = SCHEMAS[name]
-    recipe = Recipe(name, seed, window, n_windows)
-    data = dataset.build(recipe, pool, store)
-    say(f"data set: {data.q.size} examples, {data.X.shape[1]} samples")
-
-    splits = splits_of(data, seed)
-    fits = pool.run(
-        _fit,
-        {split: training for split, (training, _) in splits.items()},
-        shared=(data.X, schema.encode(data.q, data.scale), not schema.relative, epochs, seed),
-        store=store,
-        label=f"fits {recipe.name}",
+    schema, epochs = PRESETS[preset].schema, PRESETS[preset].epochs
+    method = Method(
+        kind="network",
+        fit=_fit,
+        settings=(not SCHEMAS[schema].relative, epochs, seed),
+        regressor=lambda weights: Network.load(to_onnx(weights, window)),
+        described_as=(
+            "network",
+            {
+                "convolutions": CONVOLUTIONS,
+                "filters": FILTERS,
+                "kernel": KERNEL,
+                "pooling": f"largest of {POOL}",
+                "epochs": epochs,
+                "batch": BATCH,
+                "learning_rate": LEARNING_RATE,
+            },
+        ),
+        versions={package: version(package) for package in _LIBRARIES},
     )
-    files = {split: to_onnx(weights, window) for split, weights in zip(splits, fits, strict=True)}
-    networks = {split: Network.load(file) for split, file in files.items()}
-
-    def predict(split: str, examples: Indices) -> Array:
-        answers = networks[split].predict(data.X[examples])
-        return schema.decode(answers, data.scale[examples])
-
-    metrics = metrics_of(data, splits, predict, say)
-    card = {
-        "kind": "network",
-        "feature_schema": name,
-        "features": list(schema.names),
-        "target": TARGETS[schema.relative],
-        "window": window,
-        "data_set": described(recipe, data),
-        "network": {
-            "convolutions": CONVOLUTIONS,
-            "filters": FILTERS,
-            "kernel": KERNEL,
-            "pooling": f"largest of {POOL}",
-            "epochs": epochs,
-            "batch": BATCH,
-            "learning_rate": LEARNING_RATE,
-            "seed": seed,
-            "trained_on": RANDOM,
-        },
-        "metrics": metrics,
-        "versions": {
-            "python": platform.python_version(),
-            **{package: version(package) for package in _LIBRARIES},
-        },
-    }
-    return files[RANDOM], card
+    weights, card = procedure.train(
+        method, Recipe(schema, seed, window, n_windows), pool, store, say
+    )
+    return to_onnx(weights, window), card
 
 
 def _fit(shared: tuple[Array, Array, bool, int, int], training: Indices) -> Result:

@@ -19,12 +19,12 @@ most such a threshold exactly when it is at most the threshold rounded down to f
 what is kept. It adds the trees' answers in their order and divides by their number.
 """
 
-import io
 from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
+from insdvl.files import arrays as arrays_of
 from insdvl.kernels import kernel
 
 Array = NDArray[np.float64]
@@ -39,6 +39,8 @@ ARRAYS = {
 }
 
 LEAF = -1
+
+MAX_BYTES = 64 * 2**20  # of the arrays; the largest that ships has a fiftieth of it
 
 
 class ForestError(ValueError):
@@ -69,6 +71,8 @@ class Forest:
         threshold, value = self.arrays["threshold"], self.arrays["value"]
         self.n_features = int(self.arrays["n_features"])
         self.n_trees = roots.size
+        if self.n_features < 1:
+            raise ForestError(f"n_features must be >= 1, got {self.n_features}")
 
         outside = (feature < LEAF) | (feature >= self.n_features)
         if outside.any():
@@ -112,11 +116,11 @@ class Forest:
             ForestError: They are no such archive, or `Forest` refuses the arrays.
         """
         try:
-            with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-                arrays = {name: archive[name] for name in archive.files}
-        except Exception as error:  # damaged bytes raise what zipfile, zlib or numpy make of them
-            raise ForestError(f"no archive of arrays: {error}") from error
-        return cls(arrays)
+            return cls(arrays_of(data, MAX_BYTES))
+        except ForestError:
+            raise
+        except ValueError as error:
+            raise ForestError(str(error)) from error
 
     def predict(self, X: Array) -> Array:
         """Mean answer of the trees for each row.

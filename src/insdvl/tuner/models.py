@@ -17,6 +17,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from insdvl.files import read, shown
+from insdvl.tuner import forest, network
 from insdvl.tuner.forest import Forest
 from insdvl.tuner.network import Network
 from insdvl.tuner.schemas import SCHEMAS, Schema
@@ -32,6 +34,10 @@ CARD_FIELDS = {
     "window": int,
     "sha256": str,
 }
+
+
+MAX_CARD_BYTES = 2**20  # those that ship have two kilobytes
+MAX_WINDOW = 10_000  # samples, 10 s at 1 kHz; a tuner keeps and goes through all of them
 
 
 class ModelError(ValueError):
@@ -57,16 +63,21 @@ class Kind:
 
     Attributes:
         suffix: Of its file.
+        max_bytes: Of its file.
         load: Makes the regressor from the bytes of the file; ValueError where they are none.
     """
 
     suffix: str
+    max_bytes: int
     load: Callable[[bytes], Regressor]
 
 
 #: Kinds of models by the name that a card gives.
 KINDS: Mapping[str, Kind] = MappingProxyType(
-    {"forest": Kind(".npz", Forest.load), "network": Kind(".onnx", Network.load)}
+    {
+        "forest": Kind(".npz", forest.MAX_BYTES, Forest.load),
+        "network": Kind(".onnx", network.MAX_BYTES, Network.load),
+    }
 )
 
 
@@ -129,7 +140,7 @@ def load_model(name_or_path: str) -> Model:
     file = named if is_path else card_file.with_suffix(kind.suffix)
     expected = f"{card_file} expects SHA-256 {card['sha256']}"
     try:
-        data = file.read_bytes()
+        data = read(file, kind.max_bytes)
     except OSError as error:
         reason = error.strerror or error
         raise ModelError(f"cannot read the model {file}: {reason}; {expected}") from error
@@ -151,11 +162,11 @@ def load_model(name_or_path: str) -> Model:
 
 def _card(file: Path) -> dict[str, Any]:
     try:
-        card = json.loads(file.read_text(encoding="utf-8"))
+        card = json.loads(read(file, MAX_CARD_BYTES).decode("utf-8"))
     except OSError as error:
         reason = error.strerror or error
         raise ModelError(f"cannot read the model's card {file}: {reason}") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ModelError(f"the model's card {file} is no JSON: {error}") from error
     if not isinstance(card, dict):
         raise ModelError(f"the model's card {file} is no JSON object")
@@ -163,11 +174,11 @@ def _card(file: Path) -> dict[str, Any]:
         if type(card.get(name)) is not kind:
             raise ModelError(
                 f"the model's card {file}: {name} must be of type {kind.__name__}, "
-                f"got {card.get(name)!r}"
+                f"got {shown(card.get(name))}"
             )
     if card["kind"] not in KINDS:
         raise ModelError(
-            f"the model's card {file}: kind {card['kind']!r} is unknown, known are "
+            f"the model's card {file}: kind {shown(card['kind'])} is unknown, known are "
             f"{', '.join(KINDS)}"
         )
     return card
@@ -177,7 +188,7 @@ def _schema(card: Mapping[str, Any], file: Path) -> Schema:
     schema = SCHEMAS.get(card["feature_schema"])
     if schema is None:
         raise ModelError(
-            f"the model's card {file}: feature_schema {card['feature_schema']!r} is unknown, "
+            f"the model's card {file}: feature_schema {shown(card['feature_schema'])} is unknown, "
             f"known are {', '.join(SCHEMAS)}"
         )
     if tuple(card["features"]) != schema.names:
@@ -185,8 +196,9 @@ def _schema(card: Mapping[str, Any], file: Path) -> Schema:
             f"the model's card {file}: its features are not those of the schema "
             f"{card['feature_schema']!r} in this version"
         )
-    if card["window"] < schema.min_samples:
+    if not schema.min_samples <= card["window"] <= MAX_WINDOW:
         raise ModelError(
-            f"the model's card {file}: window must be >= {schema.min_samples}, got {card['window']}"
+            f"the model's card {file}: window must be >= {schema.min_samples} and <= {MAX_WINDOW}, "
+            f"got {shown(card['window'])}"
         )
     return schema

@@ -20,6 +20,8 @@ _FLOAT = "tensor(float)"
 _BLOCK = 8  # rows at a time: more would leave the cache
 #: The key "location" of an entry that puts a tensor's values in another file, as protobuf has it.
 _ELSEWHERE = b"\x0a\x08location"
+#: The names of operators that repeat others, as protobuf has them: they need not end.
+_LOOPS = (b"\x22\x04Loop", b"\x22\x04Scan")
 
 
 class NetworkError(ValueError):
@@ -73,6 +75,8 @@ class Network:
             raise NetworkError(f"a network must have at most {MAX_BYTES} bytes, got {len(data)}")
         if _ELSEWHERE in data:
             raise NetworkError("a network must hold its weights, this one refers to other files")
+        if any(loop in data for loop in _LOOPS):
+            raise NetworkError("a network must have no Loop and no Scan, which need not end")
         try:
             import onnxruntime
         except ImportError as error:

@@ -1,0 +1,247 @@
+"""What the fault rows of processes and the soak share: processes, and a witness that listens."""
+
+import os
+import signal
+import struct
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import rclpy
+from ament_index_python.packages import get_package_share_directory
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+
+from insdvl.events import NS
+from ros_insdvl.node import publisher_qos, subscribe
+from ros_insdvl_sim.demo import DEPTH, arguments_of
+
+PATIENCE = 120.0  # s of the wall that anything may take; without a cache, programs compile first
+QUIET_TIME = 3.0  # s of the wall without anything new after which nothing more comes
+
+FILTER, TUNER, SIMULATOR, RELAY = (
+    "ros_insdvl.filter",
+    "ros_insdvl.tuner",
+    "ros_insdvl_sim.simulator",
+    "ros_insdvl_sim.relay",
+)
+TRUTH, ODOMETRY, INNOVATION = "ground_truth/odometry", "odometry/filtered", "dvl/innovation"
+
+_STAMP = struct.Struct("<iI")  # of a header, behind the four bytes of encapsulation
+
+
+class HarnessError(RuntimeError):
+    """The graph cannot go on; the message says why."""
+
+
+def isolate() -> None:
+    """A ROS domain of our own, on this machine only, for this process and its children."""
+    os.environ.setdefault("ROS_DOMAIN_ID", "91")
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    if "FASTRTPS_DEFAULT_PROFILES_FILE" not in os.environ:
+        share = Path(get_package_share_directory("ros_insdvl"))
+        os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(share / "config/fastdds_localhost.xml")
+
+
+def stamp_of(data: bytes) -> int:
+    """Stamp [ns] of a message with a header, from its bytes."""
+    sec, nanosec = _STAMP.unpack_from(data, 4)
+    return int(sec) * NS + int(nanosec)
+
+
+class Witness:
+    """A node of this process that keeps what is published, and what the nodes say of themselves.
+
+    Attributes:
+        node: The node.
+        counts: Messages received, by topic.
+        values: All values of the last diagnostics of every node, by its name.
+        statuses: Level and message of every status, by its name.
+        tellings: How often each node has told its statuses.
+        told: Every level and message that was new, with the time of the wall: (time, name, level,
+            message).
+    """
+
+    def __init__(self, prefix: str = "") -> None:
+        self.context = Context()
+        rclpy.init(args=[], context=self.context)
+        self.node = Node(f"{prefix}witness", context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.counts: Counter[str] = Counter()
+        self.values: dict[str, dict[str, str]] = {}
+        self.statuses: dict[str, tuple[int, str]] = {}
+        self.tellings: Counter[str] = Counter()
+        self.told: list[tuple[float, str, int, str]] = []
+        subscribe(self.node, DiagnosticArray, "/diagnostics", self._on_diagnostics, publisher_qos())
+
+    def listen(self, message_type: type[Any], topic: str, handle: Callable[[bytes], None]) -> None:
+        """Take the bytes of every message of a topic; none is lost."""
+        qos = publisher_qos()
+        qos.depth = DEPTH
+
+        def count(data: bytes) -> None:
+            self.counts[topic] += 1
+            handle(data)
+
+        subscribe(self.node, message_type, topic, count, qos, raw=True)
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        now = time.monotonic()
+        fresh: dict[str, dict[str, str]] = {}
+        for status in message.status:
+            level, name = int.from_bytes(status.level, "little"), status.name
+            if self.statuses.get(name) != (level, status.message):
+                self.statuses[name] = (level, status.message)
+                self.told.append((now, name, level, status.message))
+            values = fresh.setdefault(name.split(": ")[0], {})
+            values.update({item.key: item.value for item in status.values})
+        self.values.update(fresh)
+        self.tellings.update(fresh.keys())
+
+    def value(self, node: str, key: str) -> int:
+        """A count of a node's last diagnostics, 0 where it tells none."""
+        return int(self.values.get(node, {}).get(key, 0))
+
+    def spin(self, seconds: float) -> None:
+        """Handle messages for a time of the wall."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            # The executor takes turns between topics only while the time-out stays the same.
+            self.executor.spin_once(timeout_sec=0.05)
+
+    def until(self, condition: Callable[[], Any], what: str, patience: float = PATIENCE) -> None:
+        """Handle messages until something holds.
+
+        Raises:
+            HarnessError: It does not within a time.
+        """
+        deadline = time.monotonic() + patience
+        while not condition():
+            if time.monotonic() > deadline:
+                raise HarnessError(f"{what}: not within {patience:g} s")
+            self.executor.spin_once(timeout_sec=0.05)
+
+    def settle(self, state: Callable[[], Any], quiet: float = QUIET_TIME) -> None:
+        """Handle messages until something has not changed for a while."""
+        last, since = state(), time.monotonic()
+        while time.monotonic() - since < quiet:
+            self.spin(0.1)
+            now = state()
+            if now != last:
+                last, since = now, time.monotonic()
+
+    def close(self) -> None:
+        """Take the node down."""
+        self.executor.shutdown()
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+
+class Processes:
+    """Processes, each with a log file; a context that ends them all."""
+
+    def __init__(self, logs: Path) -> None:
+        self._logs = logs
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+
+    def __enter__(self) -> "Processes":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.stop()
+
+    def start(
+        self,
+        name: str,
+        module: str,
+        parameters: Mapping[str, Any] | None = None,
+        remaps: Mapping[str, str] | None = None,
+        environment: Mapping[str, str] | None = None,
+    ) -> subprocess.Popen[bytes]:
+        """Start a program; a name that was used before goes on in its log."""
+        arguments = arguments_of(parameters or {}, remaps or {})
+        with self.log(name).open("ab") as log:
+            self._processes[name] = subprocess.Popen(
+                [sys.executable, "-m", module, "--ros-args", *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                env=os.environ | dict(environment or {}),
+            )
+        return self._processes[name]
+
+    def log(self, name: str) -> Path:
+        """Log file of a process."""
+        return self._logs / f"{name}.log"
+
+    def text(self, name: str) -> str:
+        """What a process has written."""
+        return self.log(name).read_text(errors="replace")
+
+    def process(self, name: str) -> subprocess.Popen[bytes]:
+        """The process of a name."""
+        return self._processes[name]
+
+    def end(self, name: str, *signals: int) -> int:
+        """Send signals to a process, one after the other, and wait for its end; its exit code."""
+        for number in signals:
+            self._processes[name].send_signal(number)
+        return self._processes[name].wait(PATIENCE)
+
+    def check(self, *names: str) -> None:
+        """Check that processes live.
+
+        Raises:
+            HarnessError: One does not.
+        """
+        for name in names:
+            code = self._processes[name].poll()
+            if code is not None:
+                tail = self.text(name).strip().splitlines()[-5:]
+                raise HarnessError(f"{name} ended with {code}:\n  " + "\n  ".join(tail))
+
+    def stop(self) -> dict[str, int]:
+        """End all processes, first kindly; their exit codes."""
+        for kind, patience in ((signal.SIGINT, 8.0), (signal.SIGTERM, 4.0), (signal.SIGKILL, 4.0)):
+            running = [p for p in self._processes.values() if p.poll() is None]
+            for process in running:
+                process.send_signal(kind)
+            deadline = time.monotonic() + patience
+            for process in running:
+                try:
+                    process.wait(max(deadline - time.monotonic(), 0.01))
+                except subprocess.TimeoutExpired:
+                    continue
+        return {name: process.wait() for name, process in self._processes.items()}
+
+
+def sent_by(text: str) -> dict[str, int]:
+    """What the simulator or the replay said at its end that it had sent, by topic.
+
+    Raises:
+        HarnessError: It said nothing.
+    """
+    for line in reversed(text.splitlines()):
+        if line.startswith("sent: "):
+            pairs = (item.rsplit(" ", 1) for item in line.removeprefix("sent: ").split(", "))
+            return {topic: int(count) for topic, count in pairs}
+    raise HarnessError(f"it did not say what it sent: {text[-300:]!r}")
+
+
+def memory(pid: int) -> float:
+    """Resident memory of a process [MB]."""
+    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6

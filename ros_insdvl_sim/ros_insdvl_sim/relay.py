@@ -1,0 +1,131 @@
+"""The node `insdvl_relay`: a bad network between sensors and filter.
+
+It takes topics under a prefix and sends their messages on, as the bytes that came, after it has
+lost, delayed, reordered and doubled them as its parameters say.
+"""
+
+import heapq
+import sys
+import threading
+import time
+from collections import Counter
+from functools import partial
+from typing import Any
+
+from insdvl import bags
+from insdvl.faults.link import links
+from insdvl.parameters import ParameterError, RelayParameters
+from ros_insdvl.diagnostics import Status, View
+from ros_insdvl.node import InsdvlNode, latched_qos, run
+from ros_insdvl_sim.replay import TYPES
+
+#: Type of each topic that can be sent on.
+KINDS = {topic: kind for _, topic, kind in bags.INPUTS}
+
+
+class Relay(InsdvlNode[RelayParameters]):
+    """Sends messages on from a thread of its own, each when its delay is over.
+
+    Attributes:
+        lost: Messages that were lost, by topic.
+        doubled: Messages that were sent twice, by topic.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        """Listen and send.
+
+        Raises:
+            ParameterError: A parameter is wrong.
+        """
+        super().__init__("insdvl_relay", RelayParameters, **options)
+        parameters = self.parameters
+        try:
+            _check(parameters.topics)
+        except ParameterError:
+            self.destroy_node()
+            raise
+        self.lost: Counter[str] = Counter()
+        self.doubled: Counter[str] = Counter()
+        self._links = links(parameters)
+        #: When, the number of the copy, topic and bytes of all that is under way, as a heap.
+        self._under_way: list[tuple[float, int, str, bytes]] = []
+        self._copies = 0
+        self._stopped = False
+        self._changed = threading.Condition()
+        for topic in parameters.topics:
+            kind = TYPES[KINDS[topic]]
+            self.advertise(kind, topic, latched_qos() if topic == "process_noise" else None)
+            self.listen(kind, parameters.prefix + topic, partial(self._receive, topic), raw=True)
+        self.start_diagnostics()
+        self._thread = threading.Thread(target=self._send_all, name="relay", daemon=True)
+        self._thread.start()
+
+    def _receive(self, topic: str, data: bytes) -> None:
+        delays = self._links[topic].delays()
+        self.lost[topic] += not delays
+        self.doubled[topic] += len(delays) > 1
+        now = time.monotonic()
+        with self._changed:
+            for delay in delays:
+                heapq.heappush(self._under_way, (now + delay, self._copies, topic, data))
+                self._copies += 1
+            self._changed.notify()
+
+    def _send_all(self) -> None:
+        try:
+            while (due := self._next()) is not None:
+                topic, data = due
+                self.outputs[topic].send(data)
+        except Exception as error:  # an exception in a thread would end nothing
+            if self.context.ok():  # else an interrupt has taken the middleware away
+                print(f"{self.get_name()} failed: {error!r}", file=sys.stderr)
+                self.finish(1)
+
+    def _next(self) -> tuple[str, bytes] | None:
+        """Topic and bytes of the next message when it is due; None where the node ends before."""
+        with self._changed:
+            while not self._stopped:
+                wait = self._under_way[0][0] - time.monotonic() if self._under_way else None
+                if wait is not None and wait <= 0.0:
+                    return heapq.heappop(self._under_way)[2:]
+                self._changed.wait(wait)
+        return None
+
+    def causes(self, view: View) -> list[Status]:
+        """What was lost and doubled, and how much is under way."""
+        lost, doubled = self.lost.total(), self.doubled.total()
+        status = Status("relay", f"{lost} messages lost, {doubled} doubled")
+        for topic in self.parameters.topics:
+            status.values[f"lost {topic}"] = self.lost[topic]
+            status.values[f"doubled {topic}"] = self.doubled[topic]
+            view.show(status, self.parameters.prefix + topic, topic)
+        status.values["under way"] = len(self._under_way)
+        return [status]
+
+    def destroy_node(self) -> None:
+        """Stop sending, then take the node down; what is under way is lost."""
+        if hasattr(self, "_thread"):
+            with self._changed:
+                self._stopped = True
+                self._changed.notify()
+            self._thread.join()
+        super().destroy_node()
+
+
+def _check(topics: tuple[str, ...]) -> None:
+    unknown = [topic for topic in topics if topic not in KINDS]
+    if unknown:
+        raise ParameterError(
+            f"parameter 'topics' must be of {', '.join(KINDS)}, got {', '.join(unknown)}"
+        )
+    if len(set(topics)) < len(topics):
+        raise ParameterError(f"parameter 'topics' must name a topic once, got {list(topics)!r}")
+
+
+def main() -> None:
+    """Run the node until it is interrupted."""
+    sys.exit(run(Relay))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,395 @@
+"""The soak: hours of mission through simulator, filter and tuner as processes, in legs.
+
+A leg is an hour of mission: a level circle that closes, so that leg follows leg without a seam and
+one filter navigates all of them. What every leg took is written to a file when it is over; another
+call adds legs to what is there. A leg that was interrupted is not in the file, and is run again.
+"""
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import TwistWithCovarianceStamped
+from nav_msgs.msg import Odometry
+from numpy.typing import NDArray
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import Imu
+
+from insdvl.events import NS
+from insdvl.faults import page, soak
+from insdvl.files import check_writable, json_text, write
+from insdvl.parallel import environment
+from ros_insdvl_sim.demo import lossless
+from ros_insdvl_sim.harness import (
+    FILTER,
+    INNOVATION,
+    ODOMETRY,
+    SIMULATOR,
+    TRUTH,
+    TUNER,
+    HarnessError,
+    Processes,
+    Witness,
+    isolate,
+    memory,
+    sent_by,
+    stamp_of,
+)
+
+Array = NDArray[np.float64]
+
+IMU, DVL, Q = "imu/data_raw", "dvl/velocity", "process_noise"
+CONSUMERS = {"filter": "/insdvl_filter", "tuner": "/insdvl_tuner"}
+
+#: The search for the speed: from the first factor on each is so much more than the one before, and
+#: holds when nothing is lost and the mission takes the time that it should.
+FIRST_FACTOR, STEP, LAST_FACTOR = 4.0, 1.25, 40.0
+TRIAL_TIME = 15.0  # s of the wall
+HELD = 0.97
+LOOK_PERIOD = 2.0  # s of the wall between two looks at the memory
+PARTS = 6  # of a leg, for the drift within it
+
+
+class Recorder:
+    """Takes what the witness hears during a leg, and keeps little of it."""
+
+    def __init__(self, witness: Witness) -> None:
+        self._witness = witness
+        self.clear()
+        witness.listen(Odometry, TRUTH, self._on_truth)
+        witness.listen(Odometry, ODOMETRY, self._on_odometry)
+        witness.listen(TwistWithCovarianceStamped, INNOVATION, self._on_innovation)
+        witness.listen(Imu, Q, lambda data: None)
+
+    def clear(self) -> None:
+        """Begin a leg."""
+        self._heard: dict[int, float] = {}
+        self._truth: dict[int, bytes] = {}
+        self.stamps_ns: list[int] = []
+        self.latencies: list[float] = []
+        self.nis: list[float] = []
+        self.errors: list[float] = []
+
+    def _on_truth(self, data: bytes) -> None:
+        stamp_ns = stamp_of(data)
+        self._heard[stamp_ns] = time.monotonic()
+        if stamp_ns % NS == 0:
+            self._truth[stamp_ns] = data
+
+    def _on_odometry(self, data: bytes) -> None:
+        """The truth of a stamp is sent with the sample: the rest is what the filter took."""
+        now, stamp_ns = time.monotonic(), stamp_of(data)
+        heard = self._heard.pop(stamp_ns, None)
+        if heard is not None:
+            self.stamps_ns.append(stamp_ns)
+            self.latencies.append(now - heard)
+        if stamp_ns in self._truth:
+            v, true_v = (
+                deserialize_message(message, Odometry).twist.twist.linear
+                for message in (data, self._truth.pop(stamp_ns))
+            )
+            self.errors.append(
+                (v.x - true_v.x) ** 2 + (v.y - true_v.y) ** 2 + (v.z - true_v.z) ** 2
+            )
+
+    def _on_innovation(self, data: bytes) -> None:
+        twist = deserialize_message(data, TwistWithCovarianceStamped).twist
+        v = twist.twist.linear
+        nu, S = np.array([v.x, v.y, v.z]), twist.covariance.reshape(6, 6)[:3, :3]
+        self.nis.append(float(nu @ np.linalg.solve(S, nu)))
+
+
+class Graph:
+    """Filter and tuner, which live as long as this, and a simulator for every leg."""
+
+    def __init__(self, processes: Processes, rate_factor: float) -> None:
+        self.processes = processes
+        self.rate_factor = rate_factor
+        self.witness = Witness()
+        self.recorder = Recorder(self.witness)
+        self.began = time.monotonic()
+        self.legs = 0
+        processes.start("tuner", TUNER, lossless("/imu/data_raw"))
+        processes.start(
+            "filter",
+            FILTER,
+            {
+                **{
+                    name: list(value) if isinstance(value, tuple) else value
+                    for name, value in soak.start_parameters().items()
+                },
+                "process_noise.source": "external",
+                "max_delay": 10.0,
+                **lossless("/imu/data_raw", "/dvl/velocity"),
+            },
+        )
+        self.witness.until(
+            lambda: set(CONSUMERS.values()) <= self.witness.values.keys(), "filter and tuner"
+        )
+
+    def fly(self, number: int, duration: float) -> dict[str, Any]:
+        """Fly a leg; its numbers.
+
+        Raises:
+            HarnessError: A process died, or the messages did not arrive.
+        """
+        witness, recorder = self.witness, self.recorder
+        recorder.clear()
+        before = self._counts()
+        begin = time.monotonic()
+        name = f"simulator {number}"
+        self.processes.start(
+            name,
+            SIMULATOR,
+            {
+                "trajectory": "loop",
+                "duration": float(duration),
+                "seed": number + 1,
+                "rate_factor": self.rate_factor,
+                "start_stamp": float(number * soak.LEG),
+                "min_subscribers": 2,
+                "imu.accelerometer_bias_std": 0.0,
+                "imu.gyroscope_bias_std": 0.0,
+                "imu.accelerometer_bias_walk": 0.0,
+                "imu.gyroscope_bias_walk": 0.0,
+            },
+        )
+        looks: list[tuple[float, ...]] = []
+        first = None
+        while self.processes.process(name).poll() is None:
+            witness.spin(LOOK_PERIOD if duration > 600.0 else 0.2)
+            self.processes.check("filter", "tuner")
+            if first is None and recorder.latencies:
+                first = time.monotonic()
+            if first is not None:
+                looks.append((time.monotonic(), *(self._memory(n) for n in CONSUMERS)))
+        took = time.monotonic() - (first or begin)
+        if self.processes.process(name).returncode != 0:
+            raise HarnessError(f"the simulator ended badly: {self.processes.text(name)[-300:]}")
+        sent = sent_by(self.processes.text(name))
+        witness.settle(self._counts)
+        counts = {key: count - before[key] for key, count in self._counts().items()}
+        self.legs += 1
+        return {
+            "leg": number,
+            "mission": duration,
+            "rate_factor": self.rate_factor,
+            "held": duration / self.rate_factor / took,
+            "wall": round(time.monotonic() - begin, 1),
+            "life_of_filter": round(time.monotonic() - self.began, 1),
+            "legs_of_filter": self.legs,
+            "messages": self._messages(sent, counts),
+            "memory": self._memory_of(np.array(looks), took),
+            "latency": self._latency(number, duration),
+            "nis": _mean(recorder.nis),
+            "body_velocity_rmse": float(np.sqrt(_mean(recorder.errors) or np.nan)),
+        }
+
+    def _memory(self, name: str) -> float:
+        return memory(self.processes.process(name).pid)
+
+    def _counts(self) -> dict[str, int]:
+        value, heard = self.witness.value, self.witness.counts
+        filter_, tuner = CONSUMERS["filter"], CONSUMERS["tuner"]
+        return {
+            "filter imu": value(filter_, f"received {IMU}"),
+            "filter dvl": value(filter_, f"received {DVL}"),
+            "filter q": value(filter_, f"received {Q}"),
+            "tuner imu": value(tuner, f"received {IMU}"),
+            "tuner q": value(tuner, f"sent {Q}"),
+            "filter odometry": value(filter_, f"sent {ODOMETRY}"),
+            "heard odometry": heard[ODOMETRY],
+            "heard truth": heard[TRUTH],
+        }
+
+    def _messages(self, sent: dict[str, int], counts: dict[str, int]) -> list[dict[str, Any]]:
+        """Sent and received, of every topic and consumer; each odometry is of a sample."""
+        rows = [
+            ("filter", IMU, sent[IMU], counts["filter imu"]),
+            ("filter", DVL, sent[DVL], counts["filter dvl"]),
+            ("filter", Q, counts["tuner q"], counts["filter q"]),
+            ("tuner", IMU, sent[IMU], counts["tuner imu"]),
+            ("witness", ODOMETRY, counts["filter odometry"], counts["heard odometry"]),
+            ("witness", TRUTH, sent[TRUTH], counts["heard truth"]),
+            ("odometry per sample", ODOMETRY, sent[IMU], counts["filter odometry"]),
+        ]
+        return [
+            {"consumer": consumer, "topic": topic, "sent": n, "received": received}
+            for consumer, topic, n, received in rows
+        ]
+
+    def _memory_of(self, looks: Array, took: float) -> dict[str, Any]:
+        """Of each process: at the beginning, the end and the most [MB], and the slope.
+
+        The slope is of a line through the second half [MB per hour of mission].
+        """
+        result = {}
+        for column, name in enumerate(CONSUMERS, start=1):
+            values = looks[:, column]
+            half = len(looks) // 2
+            t = (looks[half:, 0] - looks[0, 0]) * self.rate_factor / 3600.0
+            slope = float(np.polyfit(t, values[half:], 1)[0]) if len(t) > 2 else 0.0
+            result[name] = {
+                "begin": float(values[0]),
+                "end": float(values[-1]),
+                "most": float(values.max()),
+                "slope": slope,
+            }
+        return result
+
+    def _latency(self, number: int, duration: float) -> list[dict[str, float]]:
+        """Median and 99th percentile of each part of the leg [ms]."""
+        stamps = np.array(self.recorder.stamps_ns) / NS - number * soak.LEG
+        latencies = 1e3 * np.array(self.recorder.latencies)
+        edges = np.linspace(0.0, duration, PARTS + 1)
+        parts = []
+        for k in range(PARTS):
+            inside = latencies[(stamps > edges[k]) & (stamps <= edges[k + 1])]
+            p50, p99 = np.percentile(inside, [50, 99]) if inside.size else (np.nan, np.nan)
+            parts.append({"p50": float(p50), "p99": float(p99)})
+        return parts
+
+
+def _velocity(data: bytes) -> Array:
+    v = deserialize_message(data, Odometry).twist.twist.linear
+    return np.array([v.x, v.y, v.z])
+
+
+def _mean(values: list[float]) -> float | None:
+    return float(np.mean(values)) if values else None
+
+
+def lost(leg: dict[str, Any]) -> int:
+    """Messages of a leg that did not arrive."""
+    return sum(abs(row["sent"] - row["received"]) for row in leg["messages"])
+
+
+@contextmanager
+def graph(rate_factor: float) -> Iterator[Graph]:
+    """Processes and the witness."""
+    with tempfile.TemporaryDirectory(prefix="insdvl-soak-") as logs:
+        os.environ["ROS_LOG_DIR"] = logs
+        with Processes(Path(logs)) as processes:
+            made = Graph(processes, rate_factor)
+            try:
+                yield made
+            finally:
+                made.witness.close()
+
+
+def search() -> tuple[float, list[dict[str, Any]]]:
+    """The highest factor that holds and loses nothing, and what was tried.
+
+    Raises:
+        HarnessError: Not even the first does.
+    """
+    tried, best, factor = [], 0.0, FIRST_FACTOR
+    while factor <= LAST_FACTOR:
+        with graph(factor) as flown:
+            leg = flown.fly(0, round(TRIAL_TIME * factor))
+        tried.append({"rate_factor": factor, "held": leg["held"], "lost": lost(leg)})
+        print(f"{factor:g}: held {leg['held']:.3f}, lost {lost(leg)}", flush=True)
+        if lost(leg) or leg["held"] < HELD:
+            break
+        best, factor = factor, round(factor * STEP, 1)
+    if not best:
+        raise HarnessError(f"messages are lost or late at {FIRST_FACTOR:g} times real time already")
+    return best, tried
+
+
+def run(options: argparse.Namespace) -> int:
+    """Add hours to what is there, and write the page; the exit code."""
+    folder: Path = options.out / "reliability"
+    folder.mkdir(parents=True, exist_ok=True)
+    file = folder / "soak.json"
+    check_writable(file, "--out")
+    document: dict[str, Any] = {"search": [], "rate_factor": None, "legs": [], "core": []}
+    if file.exists():
+        document |= json.loads(file.read_text(encoding="utf-8"))
+
+    def keep() -> None:
+        document["environment"] = environment() | {"cores": len(os.sched_getaffinity(0))}
+        write(file, json_text(document).encode())
+        write(options.out / "reliability.md", page.markdown(page.documents(folder)).encode())
+
+    if options.core_hours:
+        document["core"] = []
+        for number, hour in enumerate(soak.run(options.core_hours, options.leg)):
+            document["core"].append(asdict(hour) | {"hour": number})
+            print(f"core, hour {number + 1}: {hour.seconds:.1f} s", flush=True)
+            keep()
+    if options.hours:
+        if options.rate_factor:
+            document["rate_factor"], document["search"] = options.rate_factor, []
+        elif document["rate_factor"] is None:
+            document["rate_factor"], document["search"] = search()
+            keep()
+        with graph(document["rate_factor"]) as flown:
+            first = len(document["legs"])
+            for number in range(first, first + options.hours):
+                leg = flown.fly(number, options.leg)
+                document["legs"].append(leg)
+                keep()
+                print(
+                    f"leg {number + 1}: {leg['wall']:.0f} s, lost {lost(leg)}, "
+                    f"NIS {leg['nis']:.3f}, filter {leg['memory']['filter']['end']:.1f} MB",
+                    flush=True,
+                )
+    return 1 if any(lost(leg) for leg in document["legs"]) else 0
+
+
+def parse(arguments: list[str] | None) -> argparse.Namespace:
+    """The command line."""
+    parser = argparse.ArgumentParser(prog="soak", description=__doc__.split("\n")[0])
+    parser.add_argument("--hours", type=int, default=1, help="of mission to add (default: 1)")
+    parser.add_argument(
+        "--core-hours", type=int, default=0, help="of mission through the core alone, anew"
+    )
+    parser.add_argument(
+        "--rate-factor",
+        type=float,
+        default=0.0,
+        help="speed; 0 takes the one of the file, or searches for the highest",
+    )
+    parser.add_argument(
+        "--leg", type=float, default=soak.LEG, help="seconds of a leg, shorter for a trial"
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("docs"), metavar="DIR", help="folder (default: ./docs)"
+    )
+    options = parser.parse_args(arguments)
+    for name in ("hours", "core_hours"):
+        if getattr(options, name) < 0:
+            parser.error(f"--{name.replace('_', '-')} must be >= 0, got {getattr(options, name)}")
+    if not 10.0 <= options.leg <= soak.LEG:
+        parser.error(f"--leg must be from 10 to {soak.LEG:g} s, got {options.leg:g}")
+    if not 0.0 <= options.rate_factor <= 1000.0:
+        parser.error(f"--rate-factor must be from 0 to 1000, got {options.rate_factor:g}")
+    return options
+
+
+def main() -> int:
+    """Run the soak from the command line."""
+    options = parse(None)
+    try:
+        isolate()
+        return run(options)
+    except (HarnessError, ValueError, OSError) as error:
+        print(f"soak: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("soak: interrupted; the legs that are over are kept", file=sys.stderr)
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,172 @@
+"""What a recording must be before, and while, `rosbags` reads it.
+
+That library believes what a file says of itself. A few damaged or ill-meant bytes could make it
+decompress without end, follow a table that leads to itself, or run a query that never ends. What is
+refused here no recorder writes.
+"""
+
+import sqlite3
+from collections.abc import Callable, Iterable
+from contextlib import closing
+from itertools import pairwise
+from pathlib import Path, PurePath
+from typing import Any
+from urllib.parse import quote
+
+import lz4.frame
+from rosbags.rosbag2 import storage_mcap
+
+from insdvl import yaml_files
+from insdvl.files import shown
+from insdvl.yaml_files import YamlError
+
+#: Of an MCAP chunk, decompressed. A recorder ends a chunk at some megabytes, and a message of our
+#: topics has less than a kilobyte.
+MAX_CHUNK_BYTES = 64 * 2**20
+#: Of all chunks, decompressed, that hold messages of one moment: they are in memory together.
+MAX_OPEN_BYTES = 256 * 2**20
+#: Of one message. An Odometry with long frame names has a kilobyte.
+MAX_MESSAGE_BYTES = 2**20
+#: Tables and indices of a database; rosbag2's have less than ten.
+MAX_TABLES = 50
+
+
+class UnfitError(ValueError):
+    """A file of a recording must not be read; the message says why."""
+
+
+# ---------------------------------------------------------------- metadata.yaml
+
+
+def check_folder(path: Path) -> None:
+    """Check the metadata of a recording's folder, and the files that it names.
+
+    What is missing or of another type is left to rosbags, which says so.
+
+    Raises:
+        UnfitError: The metadata is refused by `yaml_files.load`, files or messages are compressed,
+            or a file must not be read.
+    """
+    try:
+        document = yaml_files.load(path / "metadata.yaml")
+    except (OSError, YamlError) as error:
+        raise UnfitError(f"metadata.yaml: {error}") from error
+    information = document.get("rosbag2_bagfile_information") if type(document) is dict else None
+    if type(information) is not dict:
+        return
+    mode = information.get("compression_mode")
+    if mode and str(mode).lower() != "none":
+        raise UnfitError(
+            f"its compression_mode is {shown(mode)}, and only the chunks of MCAP may be compressed "
+            "(`ros2 bag convert` makes such a recording of it)"
+        )
+    names = information.get("relative_file_paths")
+    for name in names if type(names) is list else []:
+        file = path / PurePath(str(name)).name  # where rosbags looks for it
+        if not file.exists():
+            continue
+        if not file.is_file():
+            raise UnfitError(f"{file.name} is no regular file")
+        if information.get("storage_identifier") == "sqlite3":
+            check_database(file)
+
+
+# ---------------------------------------------------------------- MCAP
+
+
+def _bounded(new: Callable[[], Any]) -> Callable[[bytes, int], bytes]:
+    """A decompressor of chunks that ends at the size that the chunk says."""
+
+    def decompress(data: bytes, size: int) -> bytes:
+        if size > MAX_CHUNK_BYTES:
+            raise UnfitError(f"a chunk has {size} bytes, more than {MAX_CHUNK_BYTES}")
+        parts, left = [], size + 1  # one more, so that a chunk that is too long is noticed
+        while data and left > 0:
+            frame = new()
+            part = frame.decompress(data, max_length=left)
+            parts.append(part)
+            left -= len(part)
+            if not frame.eof:  # it ends too early, or too late
+                break
+            data = frame.unused_data or b""
+        return b"".join(parts)
+
+    return decompress
+
+
+# rosbags gives a decompressor the size that it will insist on afterwards, and the two of its own
+# make nothing of it.
+storage_mcap.DECOMPRESSORS.update(
+    zstd=_bounded(storage_mcap.zstd.ZstdDecompressor),
+    lz4=_bounded(lz4.frame.LZ4FrameDecompressor),
+)
+
+
+def check_chunks(chunks: Iterable[storage_mcap.ChunkInfo]) -> None:
+    """Check the index of chunks of an MCAP file that has been opened.
+
+    Raises:
+        UnfitError: Chunks are too large, overlap in the file, or too many are of one moment.
+    """
+    ordered = sorted(chunks, key=lambda chunk: chunk.chunk_start_offset)
+    for before, after in pairwise(ordered):
+        if before.chunk_start_offset + before.chunk_length > after.chunk_start_offset:
+            raise UnfitError(
+                f"chunks at {before.chunk_start_offset} and {after.chunk_start_offset} overlap"
+            )
+    # A chunk is opened at its first stamp and closed at its last one.
+    changes = [(chunk.message_start_time, 0, chunk.uncompressed_size) for chunk in ordered]
+    changes += [(chunk.message_end_time, 1, -chunk.uncompressed_size) for chunk in ordered]
+    size = 0
+    for time_ns, _, change in sorted(changes):
+        size += change
+        if size > MAX_OPEN_BYTES:
+            raise UnfitError(
+                f"the chunks with messages of {time_ns} ns have {size} bytes together, more than "
+                f"{MAX_OPEN_BYTES}"
+            )
+
+
+# ---------------------------------------------------------------- sqlite3
+
+
+def check_database(path: Path) -> None:
+    """Check that a database is sound, and that reading it runs nothing that is stored in it.
+
+    Views, triggers, virtual tables and generated columns are queries and functions that a file
+    brings along.
+
+    Raises:
+        UnfitError: It is no database, is damaged, or has any of these.
+    """
+    try:
+        with closing(
+            sqlite3.connect(f"file:{quote(str(path))}?mode=ro&immutable=1", uri=True)
+        ) as database:
+            database.execute("PRAGMA trusted_schema = OFF")
+            database.execute("PRAGMA ignore_check_constraints = ON")
+            objects = database.execute(
+                "SELECT name, sql FROM sqlite_master LIMIT ?", (MAX_TABLES + 1,)
+            ).fetchall()
+            if len(objects) > MAX_TABLES:
+                raise UnfitError(f"it has more than {MAX_TABLES} tables and indices")
+            for name, sql in objects:
+                _check_object(database, name, sql)
+            # Also that no page is in two places: a tree that leads to itself has no end.
+            ((verdict,),) = database.execute("PRAGMA quick_check(1)").fetchall()
+            if verdict != "ok":
+                raise UnfitError(f"it is damaged: {shown(verdict)}")
+    except (sqlite3.Error, UnicodeDecodeError) as error:
+        raise UnfitError(str(error)) from error
+
+
+def _check_object(database: sqlite3.Connection, name: str, sql: str | None) -> None:
+    # By the text, which is what sqlite goes by; an index of sqlite's own has none.
+    if sql is None or sql.startswith(("CREATE INDEX ", "CREATE UNIQUE INDEX ")):
+        return
+    if not sql.startswith("CREATE TABLE "):
+        raise UnfitError(f"only plain tables and indices are read, and {shown(name)} is none")
+    columns = database.execute("SELECT name, hidden FROM pragma_table_xinfo(?)", (name,))
+    for column, hidden in columns.fetchall():
+        if hidden:
+            raise UnfitError(f"column {shown(column)} of table {shown(name)} is generated")

@@ -1,0 +1,1 @@
+"""Faults: what may happen to the messages, what is expected then, and what is measured."""

@@ -1,0 +1,268 @@
+"""The page docs/reliability.md, written from the numbers of its parts.
+
+Sentences here say what was done; every number and every verdict comes from the documents.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from insdvl.evaluation.tables import number
+
+Documents = Mapping[str, Any]
+
+#: Parts of the page, each a JSON file beside it.
+MESSAGES, PROCESSES, SOAK = "messages", "processes", "soak"
+PARTS = (MESSAGES, PROCESSES, SOAK)
+
+
+def documents(folder: Path) -> dict[str, Any]:
+    """The parts of a folder that have been computed, now or before."""
+    files = {part: folder / f"{part}.json" for part in PARTS}
+    return {
+        part: json.loads(file.read_text(encoding="utf-8"))
+        for part, file in files.items()
+        if file.exists()
+    }
+
+
+def markdown(parts: Documents) -> str:
+    """The page; a part whose numbers are missing is named as such."""
+    sections = [_INTRODUCTION.format(verdict=_verdict(parts)), _messages(parts)]
+    sections += [_processes(parts), _soak(parts)]
+    return "\n".join(section.strip() + "\n" for section in sections)
+
+
+_INTRODUCTION = """
+# Reliability
+
+What may happen to messages, clocks, processes and networks, what is expected of the filter then,
+and what was seen. The page is written by two commands from what they measure:
+
+```
+make faults                        # the fault matrix: a few minutes
+make soak                          # one more hour of mission; ARGS="--hours 2" for two
+make soak ARGS="--hours 0 --core-hours 10"   # the core alone
+```
+
+The numbers are in [reliability/](reliability/). {verdict}
+
+Every expectation is checked by the program that measures; a row is met when all of its
+expectations are. Beside what its row names, each fault must leave the output finite, the
+covariance of the error state symmetric and positive definite, and the published stamps rising,
+and no valid message may be lost: each valid IMU sample is in the output with its stamp, each
+valid DVL measurement was judged. What each reason means is in [diagnostics.md](diagnostics.md),
+why the filter does what it does in [filter.md](filter.md).
+"""
+
+
+def _verdict(parts: Documents) -> str:
+    rows = [row for part in (MESSAGES, PROCESSES) for row in parts.get(part, {"rows": []})["rows"]]
+    met = sum(row["met"] for row in rows)
+    lost = sum(row["lost"] for row in rows)
+    return f"**{met} of {len(rows)} rows are met; valid messages lost: {lost}.**"
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    lines += ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows]
+    return "\n".join(lines) + "\n"
+
+
+def _cells(row: Mapping[str, Any]) -> list[str]:
+    """Fault, expected, seen, errors, recovery, messages lost, met.
+
+    What holds under every fault is told where it does not.
+    """
+    checks = [check for check in row["checks"] if not (check.get("always") and check["met"])]
+    recovery = "–" if row["recovery"] is None else f"{row['recovery']:.1f}"
+    return [
+        row["fault"],
+        "; ".join(check["expected"] for check in checks),
+        "; ".join(check["seen"] if check["met"] else f"**{check['seen']}**" for check in checks),
+        _error(row, "error_during"),
+        _error(row, "error_after"),
+        recovery,
+        str(row["lost"]),
+        "yes" if row["met"] else "**no**",
+    ]
+
+
+def _error(row: Mapping[str, Any], name: str) -> str:
+    calm = row.get(f"{name}_calm")
+    text = number(row[name], 3)
+    return text if calm is None else f"{text} ({number(calm, 3)})"
+
+
+_HEAD = (
+    "fault",
+    "expected",
+    "seen",
+    "error during [m/s]",
+    "error after [m/s]",
+    "recovery [s]",
+    "lost",
+    "met",
+)
+
+
+def _groups(rows: Sequence[Mapping[str, Any]]) -> str:
+    groups: dict[str, list[Mapping[str, Any]]] = {}
+    for row in rows:
+        groups.setdefault(row["group"], []).append(row)
+    return "\n".join(
+        f"### {group}\n\n{_table(_HEAD, [_cells(row) for row in members])}"
+        for group, members in groups.items()
+    )
+
+
+_MESSAGES = """
+## Messages and time
+
+A simulated AUV at 100 Hz and 1 Hz; a fault changes its messages, and the changed messages go
+through the filter as its node takes them, one after the other. The noise is that of the scenario
+`constant` (0.1 m/s² and 0.03 rad/s per sample), or *good*, that of `constant-tableI` (0.01 m/s²,
+0.001 rad/s). Rows whose numbers depend on the noise are of three seeds; the same seeds give the
+same bits.
+
+Errors are RMS of the vector of the body velocity over all seeds: *during* the fault (of an
+instant: over the 5 s after it) and *after* it (10 to 40 s after its end), in brackets over the
+same time of the same flight without the fault. *Recovery* is the time from the end of the fault
+until the velocity stays within 0.05 m/s of that flight, in the slowest seed.
+"""
+
+
+def _messages(parts: Documents) -> str:
+    if MESSAGES not in parts:
+        return f"{_MESSAGES}\nNot computed: {MESSAGES}."
+    return f"{_MESSAGES.strip()}\n\n{_groups(parts[MESSAGES]['rows'])}"
+
+
+_PROCESSES = """
+## Processes and network
+
+Real processes: simulator, relay, tuner and filter, at {rate_factor:g} times real time. Errors are
+against the simulator's truth: *during* and *after* as each row says, and *recovery* is the time
+of the mission from the end of the fault until the error is within 3 σ for good. These numbers
+depend on when a signal arrives, and differ a little between runs.
+"""
+
+
+def _processes(parts: Documents) -> str:
+    document = parts.get(PROCESSES)
+    head = _PROCESSES.format(rate_factor=document["rate_factor"] if document else float("nan"))
+    if document is None:
+        return f"## Processes and network\n\nNot computed: {PROCESSES}."
+    return f"{head.strip()}\n\n{_groups(document['rows'])}"
+
+
+_SOAK = """
+## Soak
+
+A level circle for hours: simulator, tuner and filter as processes, the filter with the tuner's
+process noise, and a witness that counts what is published. Filter and tuner live as long as a
+call of the command; the simulator flies a leg of an hour. The speed is the highest of a search at
+which nothing is lost and the mission takes the time that it should.
+"""
+
+
+def _soak(parts: Documents) -> str:
+    document = parts.get(SOAK)
+    if document is None:
+        return f"{_SOAK}\nNot computed: {SOAK}."
+    sections = [_SOAK.strip()]
+    if document["search"]:
+        rows = [
+            [f"{t['rate_factor']:g}", f"{100.0 * t['held']:.0f} %", str(t["lost"])]
+            for t in document["search"]
+        ]
+        sections.append(_table(("times real time", "speed held", "messages lost"), rows))
+    if document["legs"]:
+        sections += [_summary(document["legs"]), _legs(document["legs"])]
+    if document["core"]:
+        sections += [_CORE.strip(), _core(document["core"])]
+    return "\n\n".join(section.strip() for section in sections)
+
+
+def _lost(leg: Mapping[str, Any]) -> int:
+    return sum(abs(row["sent"] - row["received"]) for row in leg["messages"])
+
+
+def _summary(legs: Sequence[Mapping[str, Any]]) -> str:
+    hours = sum(leg["mission"] for leg in legs) / 3600.0
+    wall = sum(leg["wall"] for leg in legs) / 3600.0
+    messages = sum(row["sent"] for leg in legs for row in leg["messages"])
+    lost = sum(_lost(leg) for leg in legs)
+    return (
+        f"**{hours:.4g} mission hours in {wall:.1f} h of the wall: {messages} messages counted, "
+        f"{lost} lost.** A negative slope is memory that was given back."
+    )
+
+
+def _legs(legs: Sequence[Mapping[str, Any]]) -> str:
+    head = (
+        "hour",
+        "speed",
+        "filter lives for [legs]",
+        "lost",
+        "filter [MB], end (slope per hour)",
+        "tuner [MB], end (slope per hour)",
+        "latency p50 / p99 [ms], first sixth",
+        "last sixth",
+        "NIS",
+        "velocity RMSE [m/s]",
+    )
+    rows = []
+    for leg in legs:
+        first, last = leg["latency"][0], leg["latency"][-1]
+        rows.append(
+            [
+                str(leg["leg"] + 1),
+                f"{leg['rate_factor'] * leg['held']:.1f}",
+                str(leg["legs_of_filter"]),
+                str(_lost(leg)),
+                *(
+                    f"{leg['memory'][name]['end']:.1f} ({leg['memory'][name]['slope']:+.2f})"
+                    for name in ("filter", "tuner")
+                ),
+                f"{first['p50']:.1f} / {first['p99']:.1f}",
+                f"{last['p50']:.1f} / {last['p99']:.1f}",
+                number(leg["nis"], 3),
+                number(leg["body_velocity_rmse"], 3),
+            ]
+        )
+    return _table(head, rows)
+
+
+_CORE = """
+### The core alone
+
+The same mission, message by message through `Inputs`, `Fold` and `Tuner` in one process; the
+seconds are theirs, without making the messages.
+"""
+
+
+def _core(hours: Sequence[Mapping[str, Any]]) -> str:
+    head = (
+        "hour",
+        "samples",
+        "odometry",
+        "seconds",
+        "memory [MB]",
+        "NIS",
+        "velocity RMSE [m/s]",
+    )
+    rows = [
+        [
+            str(hour["hour"] + 1),
+            str(hour["samples"]),
+            str(hour["outputs"]),
+            f"{hour['seconds']:.1f}",
+            f"{hour['memory']:.1f}",
+            number(hour["nis"], 3),
+            number(hour["body_velocity_rmse"], 3),
+        ]
+        for hour in hours
+    ]
+    return _table(head, rows)

@@ -1,0 +1,287 @@
+"""The statuses of a node: each cause is told with its number and what to do, and recovers."""
+
+from collections import Counter
+from math import inf
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from insdvl.events import NS, Dvl, Imu, ProcessNoise
+from insdvl.fold import AppliedUpdate, Fold, TimeJump
+from insdvl.inputs import Inputs
+from insdvl.parameters import FilterParameters, build
+from ros_insdvl.diagnostics import (
+    ERROR,
+    OF_FRAMES,
+    OF_TIME,
+    OK,
+    REMEDIES,
+    WARN,
+    Recent,
+    Status,
+    View,
+)
+from ros_insdvl.filter_status import FilterWatch
+
+START_NS = 1_700_000_000 * NS
+PAGE = Path(__file__).parents[2] / "docs" / "diagnostics.md"
+
+
+class Filter:
+    """A filter's watch, the fold that it looks at, and a clock."""
+
+    def __init__(self, **parameters: Any) -> None:
+        self.parameters = build(FilterParameters, parameters)
+        self.fold = Fold(self.parameters)
+        self.inputs = Inputs(self.parameters)
+        self.watch = FilterWatch(self.parameters, self.inputs, self.fold)
+        self.counts = Counter({f"received {topic}": 0 for topic in self.inputs.topics})
+        self.silence = dict.fromkeys(self.inputs.topics, inf)
+        self.recent = Recent()
+        self.now = 0.0
+        self.pings = 0
+
+    def samples(self, first: int, last: int, step_ns: int = NS // 100) -> None:
+        for k in range(first, last):
+            stamp = START_NS + k * step_ns
+            sample = Imu(stamp, np.array([0.0, 0.0, -9.8]), np.zeros(3))
+            if self.fold.add(sample) is None:
+                self.watch.took(sample)
+        for output in self.fold.take():
+            if isinstance(output, TimeJump):
+                self.watch.reset()
+                self.watch.jumped(output)
+            elif isinstance(output, AppliedUpdate):
+                self.watch.updated(output)
+                if not output.report.accepted:
+                    self.counts[f"rejected dvl: {output.report.reason}"] += 1
+            else:
+                self.watch.published(output, output.stamp_ns + 2_000_000)
+                self.counts["sent odometry/filtered"] += 1
+        self.counts["received imu/data_raw"] += last - first
+        self.silence["imu/data_raw"] = 0.0
+
+    def look(self, seconds: float = 1.0) -> dict[str, Status]:
+        """The statuses some seconds later."""
+        self.now += seconds
+        self.recent.look(self.now, self.counts + self.watch.counts)
+        rates = dict.fromkeys(
+            ("odometry/filtered", "imu/bias", *self.silence, "dvl/innovation"), 0.0
+        )
+        view = View(self.counts, self.recent.growth, rates, self.silence)
+        return {status.cause: status for status in self.watch.causes(view)}
+
+    def dvl(self, stamp_ns: int, speed: float = 0.0) -> None:
+        """A measurement, of which no two are the same."""
+        self.pings += 1
+        assert self.fold.add(Dvl(stamp_ns, np.array([speed, 0.0, 1e-4 * self.pings]))) is None
+
+
+def wrong(statuses: dict[str, Status]) -> dict[str, bytes]:
+    return {cause: status.level for cause, status in statuses.items() if status.level != OK}
+
+
+def test_growth_is_over_the_last_seconds_and_survives_a_reset() -> None:
+    recent = Recent(seconds=3.0)
+    grown = []
+    for now, count in enumerate([5, 5, 7, 7, 7, 0, 1]):
+        recent.look(float(now), {"gaps": count})
+        grown.append((recent.step["gaps"], recent.growth["gaps"]))
+    assert grown == [(5, 5), (0, 5), (2, 7), (0, 2), (0, 2), (0, 0), (1, 1)]
+
+
+def test_status_has_its_worst_complaint_first() -> None:
+    status = Status("imu", "100.0 Hz")
+    assert (status.level, status.message) == (OK, "100.0 Hz")
+    status.complain(WARN, "gaps", "2 gaps")
+    status.complain(ERROR, "silent", "no imu")
+    message = status.of_node("/auv/insdvl_filter")
+    assert (message.level, message.message) == (ERROR, "no imu; 2 gaps")
+    assert message.name == "/auv/insdvl_filter: imu"
+
+
+def test_a_filter_that_gets_what_it_needs_has_nothing_to_tell() -> None:
+    f = Filter()
+    assert wrong(f.look()) == {"imu": ERROR, "initialisation": WARN}
+    f.dvl(START_NS + 3 * NS)
+    f.samples(1, 301)
+    assert wrong(f.look()) == {}
+
+
+REFUSALS = [
+    ("imu/data_raw", "not_finite", "imu"),
+    ("imu/data_raw", "no_data", "imu"),
+    ("imu/data_raw", "duplicate", "imu"),
+    ("imu/data_raw", "too_late", "time"),
+    ("imu/data_raw", "far_ahead", "time"),
+    ("imu/data_raw", "no_stamp", "time"),
+    ("imu/data_raw", "bad_stamp", "time"),
+    ("imu/data_raw", "wrong_frame", "frames"),
+    ("dvl/velocity", "not_finite", "dvl"),
+    ("dvl/velocity_cov", "bad_covariance", "dvl"),
+    ("dvl/velocity", "too_late", "time"),
+    ("dvl/velocity", "wrong_frame", "frames"),
+    ("dvl", "no_lock", "dvl"),
+    ("dvl", "repeated", "dvl"),
+    ("process_noise", "bad_covariance", "process noise"),
+    ("process_noise", "too_late", "time"),
+    ("set_odometry", "bad_quaternion", "initialisation"),
+    ("set_odometry", "out_of_range", "initialisation"),
+]
+
+
+@pytest.mark.parametrize(("topic", "reason", "cause"), REFUSALS)
+def test_a_refused_message_is_told_once_with_what_to_do(
+    topic: str, reason: str, cause: str
+) -> None:
+    f = Filter(**{"process_noise.source": "external"})
+    f.samples(1, 21)
+    f.fold.add(ProcessNoise(START_NS + NS // 5, np.eye(3), np.eye(3)))
+    assert wrong(f.look()) == {}
+    f.counts[f"rejected {topic}: {reason}"] += 3
+    statuses = f.look()
+    assert wrong(statuses) == {cause: WARN}
+    assert f"refused of {topic} in the last 10 s: 3 {reason}" in statuses[cause].message
+    assert REMEDIES[reason] in statuses[cause].message
+    f.samples(21, 22)
+    statuses = f.look(10.0)
+    assert wrong(statuses) == {}
+    assert statuses[cause].values[f"rejected {topic}: {reason}"] == 3
+
+
+def test_every_counted_reason_has_a_remedy() -> None:
+    assert {reason for _, reason, _ in REFUSALS} <= REMEDIES.keys()
+    assert {*OF_TIME, *OF_FRAMES} <= REMEDIES.keys()
+
+
+def test_one_rejection_by_the_gate_is_chance_and_two_are_told() -> None:
+    f = Filter()
+    f.dvl(START_NS + NS // 10, 50.0)
+    f.samples(1, 21)
+    assert wrong(f.look()) == {}
+    f.dvl(START_NS + NS // 5, 50.0)
+    f.samples(21, 22)
+    statuses = f.look()
+    assert wrong(statuses) == {"dvl": WARN}
+    assert "2 gate" in statuses["dvl"].message
+    assert statuses["dvl"].values["DVL updates rejected"] == 2
+
+
+def test_a_dvl_outage_is_told_with_its_length_and_sigma_and_ends() -> None:
+    f = Filter(**{"imu.rate": 10.0, "imu.max_gap": 0.2})
+
+    def at(k: int) -> int:
+        return START_NS + k * NS // 10
+
+    f.samples(1, 53, NS // 10)
+    assert wrong(f.look()) == {"dvl": WARN}  # none from the start on
+    f.dvl(at(52))
+    f.samples(53, 54, NS // 10)
+    assert wrong(f.look()) == {}
+    f.samples(54, 123, NS // 10)
+    statuses = f.look()
+    assert wrong(statuses) == {"dvl": WARN}
+    message = statuses["dvl"].message
+    assert "no DVL measurement used for 7 s: none is received" in message
+    sigma = float(message.rsplit("sigma is ")[1].split()[0])
+    assert sigma == pytest.approx(np.sqrt(f.fold.latest["P"][0, 0]), rel=0.1)  # type: ignore[index]
+    f.dvl(at(122), 500.0)  # not used: the outage goes on
+    f.samples(123, 124, NS // 10)
+    assert wrong(f.look()) == {"dvl": WARN}
+    f.samples(124, 700, NS // 10)
+    assert wrong(f.look()) == {"dvl": ERROR}
+    f.dvl(at(699))
+    f.samples(700, 701, NS // 10)
+    assert wrong(f.look()) == {}
+
+
+def test_a_silent_imu_is_an_error_until_it_comes_back() -> None:
+    f = Filter()
+    f.samples(1, 21)
+    f.silence["imu/data_raw"] = 4.2
+    statuses = f.look()
+    assert wrong(statuses) == {"imu": ERROR}
+    assert "no imu/data_raw for 4 s" in statuses["imu"].message
+    f.samples(21, 22)
+    assert wrong(f.look()) == {}
+
+
+def test_an_output_that_stops_is_an_error() -> None:
+    f = Filter()
+    f.samples(1, 21)
+    f.look()
+    for _ in range(10):
+        f.counts["received imu/data_raw"] += 100  # that lead to nothing
+        statuses = f.look()
+    assert wrong(statuses) == {"output": ERROR}
+    f.samples(21, 22)
+    assert wrong(f.look()) == {}
+
+
+def test_late_output_is_told_where_the_clocks_agree() -> None:
+    for delay_ns, expected in ((2 * NS, {"output": WARN}), (-60 * NS, {}), (NS // 2, {})):
+        f = Filter()
+        f.samples(1, 21)
+        f.look()
+        f.samples(21, 22)
+        f.watch._latencies_ns.clear()
+        output = f.watch._output
+        assert output is not None
+        f.watch.published(output, output.stamp_ns + delay_ns)
+        assert wrong(f.look()) == expected
+
+
+def test_a_time_jump_is_told_with_both_stamps() -> None:
+    f = Filter()
+    f.samples(1, 101)
+    f.look()
+    f.samples(100_001, 100_101)
+    statuses = f.look()
+    assert wrong(statuses) == {"time": WARN}
+    assert "went from 1700000001.000 to 1700001000.010 s" in statuses["time"].message
+    assert wrong(f.look(10.0)) == {}
+
+
+def test_a_jump_that_is_held_is_an_error_until_the_old_time_comes_again() -> None:
+    f = Filter(jump_action="hold")
+    f.samples(1, 101)
+    f.look()
+    f.samples(100_001, 100_101)
+    statuses = f.look()
+    assert wrong(statuses) == {"time": ERROR}
+    assert "call ~/reset" in statuses["time"].message
+    f.samples(101, 102)
+    assert wrong(f.look()) == {}
+
+
+def test_a_changing_frame_is_told() -> None:
+    f = Filter()
+    f.samples(1, 21)
+    f.inputs.frame_ids["imu/data_raw"] = "imu_link"
+    f.inputs.frame_changes["imu/data_raw"] = 2
+    statuses = f.look()
+    assert wrong(statuses) == {"frames": WARN}
+    assert "imu/data_raw changed 2 times" in statuses["frames"].message
+    f.samples(21, 22)
+    assert wrong(f.look(10.0)) == {}
+
+
+def test_wrong_axes_are_an_error_until_the_time_begins_again() -> None:
+    f = Filter()
+    for k in range(2500):
+        f.watch.took(Imu(k * NS // 100, np.array([0.0, 0.0, 9.8]), np.zeros(3)))
+    statuses = f.look()
+    assert wrong(statuses)["frames"] == ERROR
+    assert "gravity has the wrong sign along z" in statuses["frames"].message
+    f.watch.reset()
+    assert "frames" not in wrong(f.look())
+
+
+def test_the_page_has_every_status_and_every_reason() -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    for cause in (*Filter().look(), "connections", "unexpected errors", "mission", "recording"):
+        assert f"`{cause}`" in page, cause
+    for reason in REMEDIES:
+        assert f"`{reason}`" in page, reason

@@ -1,0 +1,296 @@
+"""The relay in a graph: what it does to messages, and what the filter behind it makes of them."""
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import TwistStamped
+from nav_msgs.msg import Odometry
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import Imu
+
+from insdvl.events import NS
+from insdvl.faults.link import links
+from insdvl.frames import ENU
+from insdvl.messages import stamp_ns
+from insdvl.parameters import ParameterError, RelayParameters, build
+from insdvl.simulation.mission import Mission, simulate
+from insdvl.simulation.noise import SCENARIOS
+from insdvl.simulation.trajectories import trajectory_named
+from ros_insdvl.conversions import set_vector, time_of
+from ros_insdvl.filter import FilterNode
+from ros_insdvl_sim.relay import Relay
+
+RELIABLE = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
+DEADLINE = 120.0  # s; far beyond what any of these waits takes
+KINDS = {"imu/data_raw": Imu, "dvl/velocity": TwistStamped}
+
+
+class Graph:
+    """A relay, perhaps a filter behind it, and a node at both ends; one executor turns all."""
+
+    def __init__(self, relay: dict[str, Any] | None, filter_: dict[str, Any] | None = None) -> None:
+        self.context = Context()
+        self.context.init()
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.peer = self.add(Node("peer", namespace="/auv", context=self.context))
+        self.relay = None if relay is None else self.make(Relay, "sent/", relay)
+        self.filter = None if filter_ is None else self.make(FilterNode, "", filter_)
+        prefix = "" if relay is None else "sent/"
+        self.publishers = {
+            topic: self.peer.create_publisher(kind, prefix + topic, RELIABLE)
+            for topic, kind in KINDS.items()
+        }
+        self.received: dict[str, list[Any]] = {}
+        self.arrivals: list[float] = []
+        for topic, kind in KINDS.items():
+            self.listen(kind, topic, raw=True)
+        self.listen(Odometry, "odometry/filtered")
+        takers = 2 if relay is None else 1  # the peer and the filter, or the relay
+        outputs = list(self.relay.outputs.values()) if self.relay else []
+        if self.filter is not None:
+            outputs.append(self.filter.outputs["odometry/filtered"])
+        # The peer listens to all of them, the filter to what comes out of the relay.
+        listeners = [1 + (self.filter is not None and o in outputs[:-1]) for o in outputs]
+        self.until(
+            lambda: (
+                all(p.get_subscription_count() == takers for p in self.publishers.values())
+                and [output.listeners for output in outputs] == listeners
+            )
+        )
+
+    def add(self, node: Any) -> Any:
+        self.executor.add_node(node)
+        return node
+
+    def make(self, kind: Any, prefix: str, parameters: dict[str, Any]) -> Any:
+        qos = {
+            f"qos_overrides./auv/{prefix}{topic}.subscription.reliability": "reliable"
+            for topic in KINDS
+        }
+        overrides = [Parameter(name, value=v) for name, v in {**qos, **parameters}.items()]
+        return self.add(kind(namespace="/auv", context=self.context, parameter_overrides=overrides))
+
+    def listen(self, kind: Any, topic: str, *, raw: bool = False) -> None:
+        received = self.received[topic] = []
+
+        def keep(message: Any) -> None:
+            received.append(message)
+            self.arrivals.append(time.monotonic())
+
+        self.peer.create_subscription(kind, topic, keep, RELIABLE, raw=raw)
+
+    def until(self, condition: Callable[[], Any]) -> None:
+        start = time.monotonic()
+        while not condition():
+            assert time.monotonic() - start < DEADLINE
+            self.executor.spin_once(timeout_sec=0.1)
+
+    def send(self, items: list[tuple[str, Any]]) -> None:
+        """Publish in this order, a few at a time, until all has come through."""
+        expected = Counter(topic for topic, _ in items)
+        for k, (topic, message) in enumerate(items):
+            self.publishers[topic].publish(message)
+            if k % 20 == 0:
+                self.executor.spin_once(timeout_sec=0.0)
+        if self.relay is None:
+            self.until(lambda: all(len(self.received[t]) == n for t, n in expected.items()))
+        else:
+            self.until(
+                lambda: all(self.relay.received["sent/" + t] == n for t, n in expected.items())
+            )
+            self.until(
+                lambda: all(
+                    output.count
+                    == self.relay.received["sent/" + t] - self.relay.lost[t] + self.relay.doubled[t]
+                    and len(self.received[t]) == output.count
+                    for t, output in self.relay.outputs.items()
+                )
+            )
+        if self.filter is not None:
+            self.until(lambda: all(self.filter.received[t] == len(self.received[t]) for t in KINDS))
+            odometry = self.filter.outputs["odometry/filtered"]
+            self.until(lambda: len(self.received["odometry/filtered"]) == odometry.count)
+
+    def close(self) -> None:
+        self.executor.shutdown()
+        for node in (self.relay, self.filter, self.peer):
+            if node is not None:
+                node.destroy_node()
+        self.context.shutdown()
+
+
+@pytest.fixture
+def graph() -> Iterator[Callable[..., Graph]]:
+    made: list[Graph] = []
+
+    def make(*arguments: Any) -> Graph:
+        made.append(Graph(*arguments))
+        return made[-1]
+
+    yield make
+    for each in made:
+        each.close()
+
+
+def imu_message(stamp: int, f_b: Any, w_ib_b: Any) -> Imu:
+    message = Imu()
+    message.header.stamp = time_of(stamp)
+    set_vector(message.linear_acceleration, f_b)
+    set_vector(message.angular_velocity, w_ib_b)
+    return message
+
+
+def dvl_message(stamp: int, v_d: Any) -> TwistStamped:
+    message = TwistStamped()
+    message.header.stamp = time_of(stamp)
+    set_vector(message.twist.linear, v_d)
+    return message
+
+
+def samples(count: int) -> list[tuple[str, Any]]:
+    rows = np.random.default_rng(3).standard_normal((count, 6))
+    return [
+        ("imu/data_raw", imu_message((k + 1) * NS // 100, row[:3], row[3:]))
+        for k, row in enumerate(rows)
+    ]
+
+
+def mission_items(mission: Mission) -> list[tuple[str, Any]]:
+    """Topics and messages of a mission, by stamp."""
+    items: list[tuple[int, str, Any]] = []
+    rows = (mission.stamps_ns.tolist(), mission.f_b @ ENU.body, mission.w_ib_b @ ENU.body)
+    for stamp, f, w in zip(*rows, strict=True):
+        items.append((stamp, "imu/data_raw", imu_message(stamp, f, w)))
+    for stamp, v in zip(mission.dvl_stamps_ns.tolist(), mission.v_d @ ENU.body, strict=True):
+        items.append((stamp, "dvl/velocity", dvl_message(stamp, v)))
+    return [(topic, message) for _, topic, message in sorted(items, key=lambda item: item[0])]
+
+
+def mission(duration: float) -> Mission:
+    return simulate(
+        trajectory_named("auv"), SCENARIOS["constant"], seed=2, duration=duration, start_ns=100 * NS
+    )
+
+
+FILTER = {"initial.velocity": [1.0, 0.0, 0.0], "initial.rpy": [0.0, 0.0, np.pi / 2]}
+
+
+@pytest.mark.parametrize(
+    "settings", [{}, {"loss": 0.1}, {"duplication": 0.2, "loss": 0.01, "seed": 7}]
+)
+def test_what_arrives_is_what_the_seed_says_unchanged_and_in_order(
+    graph: Any, settings: dict[str, Any]
+) -> None:
+    g = graph(settings)
+    sent = samples(1000)
+    g.send(sent)
+    link = links(build(RelayParameters, settings))["imu/data_raw"]
+    expected = [
+        serialize_message(message) for _, message in sent for _ in range(len(link.delays()))
+    ]
+    assert g.received["imu/data_raw"] == expected
+
+
+def test_jitter_reorders_and_loses_nothing(graph: Any) -> None:
+    g = graph({"jitter": 0.1})
+    sent = [serialize_message(message) for _, message in samples(500)]
+    g.send(samples(500))
+    received = g.received["imu/data_raw"]
+    assert received != sent
+    assert sorted(received) == sorted(sent)
+
+
+def test_delay_is_waited_for(graph: Any) -> None:
+    g = graph({"delay": 0.5})
+    g.arrivals.clear()
+    begin = time.monotonic()
+    g.send(samples(3))
+    assert g.arrivals[0] - begin >= 0.5
+
+
+def test_diagnostics_tell_what_was_lost_and_doubled(graph: Any) -> None:
+    g = graph({"loss": 0.2, "duplication": 0.2})
+    told: dict[str, str] = {}
+
+    def keep(message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name == "/auv/insdvl_relay: relay":
+                told.update({item.key: item.value for item in status.values})
+
+    g.peer.create_subscription(DiagnosticArray, "/diagnostics", keep, RELIABLE)
+    g.send(samples(200))
+    told.clear()
+    g.until(lambda: told)
+    lost, doubled = g.relay.lost["imu/data_raw"], g.relay.doubled["imu/data_raw"]
+    assert (told["lost imu/data_raw"], told["doubled imu/data_raw"]) == (str(lost), str(doubled))
+    assert told["received sent/imu/data_raw"] == "200"
+    assert told["sent imu/data_raw"] == str(200 - lost + doubled)
+
+
+def by_stamp(received: list[Odometry]) -> dict[int, bytes]:
+    return {stamp_ns(message.header): serialize_message(message) for message in received}
+
+
+def test_behind_duplication_and_reordering_the_filter_gives_the_same_bits(graph: Any) -> None:
+    """The stamps of a burst are farther apart than the default max_delay: it is longer here."""
+    delays = {"max_delay": 10.0, "output_delay": 10.0}
+    items = mission_items(mission(14.0))
+    direct = graph(None, {**FILTER, **delays})
+    direct.send(items)
+    behind = graph({"jitter": 0.3, "delay": 0.05, "duplication": 0.3}, {**FILTER, **delays})
+    behind.send(items)
+    assert behind.relay.doubled["imu/data_raw"] > 200
+    order = [data[4:12] for data in behind.received["imu/data_raw"]]
+    assert order != sorted(order)
+    expected = by_stamp(direct.received["odometry/filtered"])
+    assert len(expected) == 400
+    assert by_stamp(behind.received["odometry/filtered"]) == expected
+    assert behind.filter.rejected == {
+        f"{topic}: duplicate": count for topic, count in behind.relay.doubled.items()
+    }
+
+
+@pytest.mark.parametrize("loss", [0.01, 0.1])
+def test_behind_loss_the_gaps_are_counted_and_the_velocity_stays_good(
+    graph: Any, loss: float
+) -> None:
+    flown = mission(20.0)
+    g = graph({"loss": loss}, {**FILTER, "imu.max_gap": 0.015})
+    g.send(mission_items(flown))
+    link = links(RelayParameters(loss=loss))["imu/data_raw"]
+    arrived = np.array([bool(link.delays()) for _ in flown.stamps_ns])
+    runs_lost = int(np.sum(arrived[1:] & ~arrived[:-1]))  # each is ended by a sample
+    assert 0.5 * loss * arrived.size < runs_lost
+    gaps = g.filter._fold.counts["gaps"]
+    assert gaps == runs_lost - int(not arrived[0])  # before the first sample there is no gap
+    received = g.received["odometry/filtered"]
+    kept = flown.stamps_ns[arrived]
+    assert [stamp_ns(m.header) for m in received] == kept.tolist()
+    v = np.array([[getattr(m.twist.twist.linear, a) for a in "xyz"] for m in received])
+    truth = np.einsum("kji,kj->ki", flown.truth.C_n_b, flown.truth.v_n)[arrived] @ ENU.body
+    assert np.sqrt(np.mean(np.sum((v - truth) ** 2, axis=1))) < 0.3
+    assert g.filter.rejected == {}
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        ({"topics": ["imu/data"]}, "'topics' must be of imu/data_raw, .*, got imu/data$"),
+        ({"topics": ["gps/fix", "gps/fix"]}, "'topics' must name a topic once"),
+        ({"loss": 1.5}, "'loss' must be >= 0 and <= 1, got 1.5"),
+        ({"prefix": ""}, "'prefix' must not be empty"),
+    ],
+)
+def test_what_it_cannot_be_is_named(graph: Any, settings: dict[str, Any], expected: str) -> None:
+    with pytest.raises(ParameterError, match=expected):
+        graph(settings)
