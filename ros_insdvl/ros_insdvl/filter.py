@@ -18,7 +18,7 @@ from sensor_msgs.msg import Imu, NavSatFix
 from std_srvs.srv import Trigger
 
 from insdvl import inputs
-from insdvl.events import NS, Dvl, ProcessNoise
+from insdvl.events import NS, Dvl, Event, ProcessNoise
 from insdvl.events import Imu as ImuSample
 from insdvl.fold import AppliedUpdate, Fold, TimeJump
 from insdvl.frames import CONVENTIONS
@@ -26,6 +26,7 @@ from insdvl.inputs import Q_TOPICS, Inputs
 from insdvl.odometry import Odometry as FilterOdometry
 from insdvl.odometry import biases
 from insdvl.parameters import FilterParameters
+from insdvl.plausibility import FrameCheck
 from insdvl.state_file import StateFile
 from ros_insdvl.conversions import fill_bias, fill_innovation, fill_odometry
 from ros_insdvl.diagnostics import Status, View
@@ -54,11 +55,16 @@ def compile_kernels(parameters: FilterParameters) -> None:
             output_delay=0.0,
         )
     )
+    check = FrameCheck(parameters)
     step = round(NS / parameters.imu.rate)
-    for k in range(1, 5):
-        fold.add(ImuSample(k * step, np.array([0.0, 0.0, -9.8]), np.zeros(3)))
-    fold.add(ProcessNoise(2 * step, np.eye(3), np.eye(3)))
-    fold.add(Dvl(3 * step, np.full(3, 0.01)))
+    events: list[Event] = [
+        ImuSample(k * step, np.array([0.0, 0.0, -9.8]), np.zeros(3)) for k in range(1, 5)
+    ]
+    events += [ProcessNoise(2 * step, np.eye(3), np.eye(3)), Dvl(3 * step, np.full(3, 0.01))]
+    for event in events:
+        fold.add(event)
+        check.add(event)
+    check.add(Dvl(4 * step, np.full(3, 0.01)))
     fold.take()
 
 
@@ -132,8 +138,8 @@ class FilterNode(InsdvlNode[FilterParameters]):
                 refusal = self._fold.add(event)
                 if refusal is not None:
                     self.reject(topic, refusal, f"{refusal}: stamp {event.stamp_ns} ns")
-                elif isinstance(event, ImuSample):
-                    self._watch.sampled(event.stamp_ns)
+                else:
+                    self._watch.took(event)
         finally:
             self._publish()
         if self._state_file is not None and (state := self._fold.latest) is not None:

@@ -5,11 +5,12 @@ from math import inf
 
 import numpy as np
 
-from insdvl.events import NS
+from insdvl.events import NS, Event, Imu
 from insdvl.fold import AppliedUpdate, Fold, TimeJump
 from insdvl.inputs import Q_TOPICS, Inputs
 from insdvl.odometry import Odometry
 from insdvl.parameters import FilterParameters
+from insdvl.plausibility import FrameCheck
 from insdvl.state import NEVER
 from insdvl.state_file import StateFile
 from ros_insdvl.diagnostics import ERROR, OF_FRAMES, OF_TIME, RECENT, SILENT, WARN, Status, View
@@ -69,12 +70,11 @@ class FilterWatch:
 
     def reset(self) -> None:
         """A new time: what was remembered by stamps is forgotten."""
+        self._frame_check = FrameCheck(self._parameters)
         self._nis: deque[float] = deque(maxlen=100)
         self._imu_stamps: deque[int] = deque(maxlen=200)
         self._latencies_ns: deque[int] = deque(maxlen=10_000)
         self._started_ns: int | None = None  # stamp of the first output
-        self._sent_ns = 0  # stamp of the last one
-        self._accepted_ns: int | None = None  # stamp of the last DVL measurement that was used
         self._output: Odometry | None = None
 
     # ---------------------------------------------------------------- what happens
@@ -83,23 +83,23 @@ class FilterWatch:
         """The fold has followed the samples into another time."""
         self._jump = jump
 
-    def sampled(self, stamp_ns: int) -> None:
-        """An IMU sample was taken."""
-        self._imu_stamps.append(stamp_ns)
+    def took(self, event: Event) -> None:
+        """The fold took an event."""
+        self._frame_check.add(event)
+        if isinstance(event, Imu):
+            self._imu_stamps.append(event.stamp_ns)
 
     def updated(self, update: AppliedUpdate) -> None:
         """A DVL measurement was used, or not."""
         report = update.report
         self._updates["accepted" if report.accepted else "rejected"] += 1
         self._nis.append(report.nis)
-        if report.accepted:
-            self._accepted_ns = update.stamp_ns
 
     def published(self, output: Odometry, now_ns: int) -> None:
         """Odometry was published at a time of the node's clock."""
         if self._started_ns is None:
             self._started_ns = output.stamp_ns
-        self._output, self._sent_ns = output, output.stamp_ns
+        self._output = output
         self._latencies_ns.append(now_ns - output.stamp_ns)
 
     # ---------------------------------------------------------------- what it means
@@ -224,10 +224,12 @@ class FilterWatch:
 
     def _tell_outage(self, status: Status, view: View) -> None:
         """Complain where no measurement was used for long, in the time of the stamps."""
-        if self._started_ns is None:
+        state = self._fold.latest
+        if state is None or self._started_ns is None:
             return
-        since_ns = self._started_ns if self._accepted_ns is None else self._accepted_ns
-        outage_ns = self._sent_ns - since_ns
+        accepted_ns = int(state["accepted_ns"])
+        since_ns = self._started_ns if accepted_ns == NEVER else accepted_ns
+        outage_ns = int(state["time_ns"]) - since_ns
         if outage_ns <= DVL_OUTAGE_NS:
             return
         received = sum(view.recent[f"received {topic}"] for topic in DVL)
@@ -272,14 +274,16 @@ class FilterWatch:
         if topic is not None:
             view.refused(status, [topic])
             view.show(status, topic)
-        if count := view.recent["floors"]:
-            status.complain(
-                WARN,
-                "floors",
-                f"{count} times in the last {RECENT:.0f} s a Q below the floor was raised to it: "
-                "look at its sender, or lower process_noise.*_floor if the sensor is that good",
-            )
-        self._show_counters(status, "q_timeouts", "floors")
+        for name, limit, sensor in (("floors", "below", "good"), ("ceilings", "above", "bad")):
+            if count := view.recent[name]:
+                status.complain(
+                    WARN,
+                    name,
+                    f"{count} times in the last {RECENT:.0f} s a Q {limit} the {name[:-1]} was "
+                    f"brought to it: look at its sender, or set process_noise.*_{name[:-1]} if the "
+                    f"sensor is that {sensor}",
+                )
+        self._show_counters(status, "q_timeouts", "floors", "ceilings")
         return status
 
     def _time(self, view: View) -> Status:
@@ -317,6 +321,8 @@ class FilterWatch:
     def _frames(self, view: View) -> Status:
         status = Status("frames", "nothing contradicts")
         view.refused(status, [*view.silence], OF_FRAMES)
+        for finding in self._frame_check.findings():
+            status.complain(ERROR, "axes", finding)
         for topic, frame_id in self._inputs.frame_ids.items():
             status.values[f"frame_id {topic}"] = frame_id
             if count := view.recent[f"frame_id changes {topic}"]:

@@ -36,6 +36,7 @@ from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message, serialize_message
 from scipy.spatial.transform import Rotation
 
+from insdvl import files
 from insdvl.bags import BagError, BagWriter, Raw
 from insdvl.evaluation import plots
 from insdvl.evaluation.metrics import Scores, Track, scores
@@ -266,7 +267,7 @@ def start_consumers(graph: Graph, out: Path, initial: Mapping[str, Any]) -> None
             "process_noise": {"source": source},
         }
         document = {"/**/insdvl_filter": {"ros__parameters": section}}
-        parameters.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+        files.write(parameters, yaml.safe_dump(document, sort_keys=False).encode())
         qos = lossless("/imu/data_raw", "/dvl/velocity")
         arguments = ["--params-file", str(parameters)]
         arguments += arguments_of(qos, {"__ns": namespace, **remaps})
@@ -616,7 +617,7 @@ def run_demo(options: argparse.Namespace) -> int:
         "rejected": rejected,
         "exit_codes": codes,
     }
-    (out / "summary.json").write_text(json.dumps(numbers, indent=2) + "\n", encoding="utf-8")
+    files.write(out / "summary.json", (json.dumps(numbers, indent=2) + "\n").encode())
     print(f"\n{picture}\n{out / 'summary.json'}\n{wall_time:.1f} s in all")
     if options.record is not None:
         print(f"{listener.recorded.total()} messages in {options.record}")
@@ -667,7 +668,7 @@ def main() -> int:
         signal.signal(kind, interrupt)
     try:
         return run_demo(options)
-    except (DemoError, BagError) as error:
+    except (DemoError, BagError, OSError) as error:  # the last from --out that cannot be written
         print(f"demo: {error}", file=sys.stderr)
         return 1
     except (KeyboardInterrupt, ExternalShutdownException):

@@ -12,6 +12,7 @@ from sensor_msgs.msg import Imu, NavSatFix
 from insdvl import bags
 from insdvl.bags import BagError, BagReader
 from insdvl.parameters import ParameterError, ReplayParameters
+from ros_insdvl.diagnostics import Status, View
 from ros_insdvl.node import latched_qos, run
 from ros_insdvl_sim.player import Player
 
@@ -45,6 +46,7 @@ class Replay(Player[ReplayParameters]):
         for recorded, topic in self._topics.items():
             qos = latched_qos() if topic == "process_noise" else None
             self.advertise(TYPES[self._bag.topics[recorded].type], topic, qos)
+        self.start_diagnostics()
         self.start_playing(
             rate_factor=self.parameters.rate_factor,
             min_subscribers=self.parameters.min_subscribers,
@@ -57,6 +59,12 @@ class Replay(Player[ReplayParameters]):
         self._topics = bags.played(self._bag, self.parameters)
         for raw in self._bag.raw(self._topics):
             bags.stamp_ns(raw)
+
+    def causes(self, view: View) -> list[Status]:
+        """What is played, and how much of it was sent."""
+        status = Status("recording", f"plays {self.parameters.bag}")
+        view.show(status, *self.outputs)
+        return [status]
 
     def timeline(self) -> Iterator[tuple[int, str, bytes]]:
         """All messages in the recorded order; the time is that of the newest IMU stamp so far."""

@@ -41,6 +41,7 @@ from insdvl.parameters import (
     flatten,
     load_section,
 )
+from insdvl.plausibility import FrameCheck
 from insdvl.simulation.imu import white_noise
 from insdvl.simulation.noise import segments
 from insdvl.tuner.tuner import Tuner
@@ -203,10 +204,12 @@ class Replayed:
     Attributes:
         fold: With the states at all IMU stamps; those before a time jump are in ``fold.left``.
         rejected: Messages that were not used, by ``topic: reason``.
+        findings: What cannot be of the frames, see `FrameCheck`.
     """
 
     fold: Fold
     rejected: Counter[str]
+    findings: list[str]
 
     @property
     def initialised(self) -> NDArray[np.intp]:
@@ -262,15 +265,18 @@ def fold_recording(recording: Sequence[Raw], parameters: FilterParameters) -> Re
     fold = Fold(parameters, capacity=sum(raw.topic == "imu/data_raw" for raw in recording) + 1)
     inputs = Inputs(parameters)
     rejected: Counter[str] = Counter()
-    jumps = 0
+    checks = [FrameCheck(parameters)]  # one of each part
     for topic, event in recorded_events(recording, inputs, lambda: fold.newest_ns, rejected):
         refusal = fold.add(event)
         if refusal is not None:
             rejected[f"{topic}: {refusal}"] += 1
-        if len(fold.left) > jumps:
-            jumps = len(fold.left)
+        elif len(fold.left) < len(checks):
+            checks[-1].add(event)
+        if len(fold.left) >= len(checks):
+            checks.append(FrameCheck(parameters))
             inputs.reset()
-    return Replayed(fold, rejected)
+    findings = {finding: None for check in checks for finding in check.findings()}
+    return Replayed(fold, rejected, list(findings))
 
 
 # ---------------------------------------------------------------- scores
@@ -396,6 +402,7 @@ def report(recording: Sequence[Raw], replayed: Replayed) -> dict[str, Any]:
         "duration": float(times_ns[-1] - times_ns[0]) / NS if known.size else 0.0,
         "counts": fold.counts,
         "rejected": dict(replayed.rejected),
+        "frames": replayed.findings,
     }
 
 
@@ -599,3 +606,5 @@ def _print_table(document: dict[str, Any]) -> None:
         print(f"{'time jumps':32} {document['counts']['time_jumps']}, errors are after the last")
     for key, count in document["rejected"].items():
         print(f"{'not used: ' + key:32} {count}")
+    for finding in document["frames"]:
+        print(f"frames: {finding}")

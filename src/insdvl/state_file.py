@@ -237,8 +237,9 @@ def _check(s: State) -> None:
 
     require(s["initialised"] == 1, "initialised")
     require(0 <= s["time_ns"] == s["imu_ns"], "imu_ns")
-    for name in ("q_ns", "dvl_ns"):
-        require(s[name] == NEVER or 0 <= s[name] <= s["time_ns"], name)
+    for name in s.dtype.names:
+        if name.endswith("_ns"):
+            require(s[name] == NEVER or 0 <= s[name] <= s["time_ns"], name)
     for name in _FINITE:
         require(np.isfinite(s[name]).all(), name)
     require(abs(s["lat_0"]) <= np.pi / 2, "lat_0")

@@ -8,11 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from insdvl.events import NS, Imu, ProcessNoise
-from insdvl.filter import UpdateReport
+from insdvl.events import NS, Dvl, Imu, ProcessNoise
 from insdvl.fold import AppliedUpdate, Fold, TimeJump
 from insdvl.inputs import Inputs
-from insdvl.odometry import Odometry
 from insdvl.parameters import FilterParameters, build
 from ros_insdvl.diagnostics import (
     ERROR,
@@ -43,20 +41,25 @@ class Filter:
         self.silence = dict.fromkeys(self.inputs.topics, inf)
         self.recent = Recent()
         self.now = 0.0
+        self.pings = 0
 
     def samples(self, first: int, last: int, step_ns: int = NS // 100) -> None:
         for k in range(first, last):
             stamp = START_NS + k * step_ns
-            if self.fold.add(Imu(stamp, np.array([0.0, 0.0, -9.8]), np.zeros(3))) is None:
-                self.watch.sampled(stamp)
+            sample = Imu(stamp, np.array([0.0, 0.0, -9.8]), np.zeros(3))
+            if self.fold.add(sample) is None:
+                self.watch.took(sample)
         for output in self.fold.take():
             if isinstance(output, TimeJump):
                 self.watch.reset()
                 self.watch.jumped(output)
-                continue
-            assert isinstance(output, Odometry)
-            self.watch.published(output, output.stamp_ns + 2_000_000)
-            self.counts["sent odometry/filtered"] += 1
+            elif isinstance(output, AppliedUpdate):
+                self.watch.updated(output)
+                if not output.report.accepted:
+                    self.counts[f"rejected dvl: {output.report.reason}"] += 1
+            else:
+                self.watch.published(output, output.stamp_ns + 2_000_000)
+                self.counts["sent odometry/filtered"] += 1
         self.counts["received imu/data_raw"] += last - first
         self.silence["imu/data_raw"] = 0.0
 
@@ -70,11 +73,10 @@ class Filter:
         view = View(self.counts, self.recent.growth, rates, self.silence)
         return {status.cause: status for status in self.watch.causes(view)}
 
-    def dvl(self, stamp_ns: int, reason: str = "") -> None:
-        report = UpdateReport(np.zeros(3), np.eye(3), 3.0, not reason, reason)
-        self.watch.updated(AppliedUpdate(stamp_ns, report))
-        if reason:
-            self.counts[f"rejected dvl: {reason}"] += 1
+    def dvl(self, stamp_ns: int, speed: float = 0.0) -> None:
+        """A measurement, of which no two are the same."""
+        self.pings += 1
+        assert self.fold.add(Dvl(stamp_ns, np.array([speed, 0.0, 1e-4 * self.pings]))) is None
 
 
 def wrong(statuses: dict[str, Status]) -> dict[str, bytes]:
@@ -103,8 +105,8 @@ def test_status_has_its_worst_complaint_first() -> None:
 def test_a_filter_that_gets_what_it_needs_has_nothing_to_tell() -> None:
     f = Filter()
     assert wrong(f.look()) == {"imu": ERROR, "initialisation": WARN}
-    f.samples(1, 301)
     f.dvl(START_NS + 3 * NS)
+    f.samples(1, 301)
     assert wrong(f.look()) == {}
 
 
@@ -156,33 +158,41 @@ def test_every_counted_reason_has_a_remedy() -> None:
 
 def test_one_rejection_by_the_gate_is_chance_and_two_are_told() -> None:
     f = Filter()
+    f.dvl(START_NS + NS // 10, 50.0)
     f.samples(1, 21)
-    f.dvl(START_NS, "gate")
     assert wrong(f.look()) == {}
-    f.dvl(START_NS + NS // 10, "gate")
+    f.dvl(START_NS + NS // 5, 50.0)
+    f.samples(21, 22)
     statuses = f.look()
     assert wrong(statuses) == {"dvl": WARN}
     assert "2 gate" in statuses["dvl"].message
+    assert statuses["dvl"].values["DVL updates rejected"] == 2
 
 
 def test_a_dvl_outage_is_told_with_its_length_and_sigma_and_ends() -> None:
     f = Filter(**{"imu.rate": 10.0, "imu.max_gap": 0.2})
+
+    def at(k: int) -> int:
+        return START_NS + k * NS // 10
+
     f.samples(1, 53, NS // 10)
     assert wrong(f.look()) == {"dvl": WARN}  # none from the start on
-    f.dvl(START_NS + 52 * NS // 10)
+    f.dvl(at(52))
+    f.samples(53, 54, NS // 10)
     assert wrong(f.look()) == {}
-    f.samples(53, 123, NS // 10)
+    f.samples(54, 123, NS // 10)
     statuses = f.look()
     assert wrong(statuses) == {"dvl": WARN}
     message = statuses["dvl"].message
     assert "no DVL measurement used for 7 s: none is received" in message
     sigma = float(message.rsplit("sigma is ")[1].split()[0])
     assert sigma == pytest.approx(np.sqrt(f.fold.latest["P"][0, 0]), rel=0.1)  # type: ignore[index]
-    f.dvl(START_NS + 122 * NS // 10, "gate")  # not used: the outage goes on
+    f.dvl(at(122), 500.0)  # not used: the outage goes on
+    f.samples(123, 124, NS // 10)
     assert wrong(f.look()) == {"dvl": WARN}
-    f.samples(123, 700, NS // 10)
+    f.samples(124, 700, NS // 10)
     assert wrong(f.look()) == {"dvl": ERROR}
-    f.dvl(START_NS + 700 * NS // 10)
+    f.dvl(at(699))
     f.samples(700, 701, NS // 10)
     assert wrong(f.look()) == {}
 
@@ -217,7 +227,9 @@ def test_late_output_is_told_where_the_clocks_agree() -> None:
         f.look()
         f.samples(21, 22)
         f.watch._latencies_ns.clear()
-        f.watch.published(f.watch._output, f.watch._sent_ns + delay_ns)  # type: ignore[arg-type]
+        output = f.watch._output
+        assert output is not None
+        f.watch.published(output, output.stamp_ns + delay_ns)
         assert wrong(f.look()) == expected
 
 
@@ -256,9 +268,20 @@ def test_a_changing_frame_is_told() -> None:
     assert wrong(f.look(10.0)) == {}
 
 
+def test_wrong_axes_are_an_error_until_the_time_begins_again() -> None:
+    f = Filter()
+    for k in range(2500):
+        f.watch.took(Imu(k * NS // 100, np.array([0.0, 0.0, 9.8]), np.zeros(3)))
+    statuses = f.look()
+    assert wrong(statuses)["frames"] == ERROR
+    assert "gravity has the wrong sign along z" in statuses["frames"].message
+    f.watch.reset()
+    assert "frames" not in wrong(f.look())
+
+
 def test_the_page_has_every_status_and_every_reason() -> None:
     page = PAGE.read_text(encoding="utf-8")
-    for cause in (*Filter().look(), "connections", "unexpected errors", "mission"):
+    for cause in (*Filter().look(), "connections", "unexpected errors", "mission", "recording"):
         assert f"`{cause}`" in page, cause
     for reason in REMEDIES:
         assert f"`{reason}`" in page, reason

@@ -1,5 +1,6 @@
 """Pictures of a navigation result, written as PNG without a display."""
 
+import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from insdvl.evaluation.metrics import Track
+from insdvl.files import write
 
 Array = NDArray[np.float64]
 
@@ -95,7 +97,13 @@ def mission(
         axes.grid(True, linewidth=0.4, alpha=0.6)
         for side in ("top", "right"):
             axes.spines[side].set_visible(False)
-    figure.savefig(path, dpi=110)
+    _save(path, figure, dpi=110)
+
+
+def _save(path: Path, figure: Figure, dpi: int) -> None:
+    image = io.BytesIO()
+    figure.savefig(image, format="png", dpi=dpi)
+    write(path, image.getvalue())
 
 
 def _legend_above(axes: Axes) -> None:
@@ -190,7 +198,7 @@ def errors_over_time(path: Path, title: str, series: Mapping[str, Array]) -> Non
         axes.grid(True, linewidth=0.4, alpha=0.6)
         for side in ("top", "right"):
             axes.spines[side].set_visible(False)
-    figure.savefig(path, dpi=100)
+    _save(path, figure, dpi=100)
 
 
 def ratios(path: Path, title: str, panels: Mapping[str, Mapping[str, Sequence[float]]]) -> None:
@@ -220,4 +228,4 @@ def ratios(path: Path, title: str, panels: Mapping[str, Mapping[str, Sequence[fl
             axes.spines[side].set_visible(False)
     every[0].set_yticks(range(len(rows)), rows)
     every[0].invert_yaxis()
-    figure.savefig(path, dpi=100)
+    _save(path, figure, dpi=100)
