@@ -168,6 +168,9 @@ def _odometry(states: Records, k: int, constants: Records, out: Records) -> None
                     o.twist_covariance[i, j] += (
                         J[i, _GYROSCOPE_BIAS + a] * M[a, b] * J[j, _GYROSCOPE_BIAS + b]
                     )
+    for i in range(6):  # the sums of two mirrored elements are rounded in different orders
+        for j in range(i):
+            o.twist_covariance[j, i] = o.twist_covariance[i, j]
 
 
 @kernel
