@@ -2,6 +2,8 @@
 # make test         sets up, then runs the tests; ARGS="-k filter"
 # make test-jazzy   the tests with the library versions of a full ROS 2 Jazzy; needs a Python 3.12
 # make results      computes docs/results.md again: about an hour; ARGS="--recordings DIR --config FILE"
+# make faults       flies the fault matrix of docs/reliability.md again: some minutes
+# make soak         adds an hour of mission to the soak there; ARGS="--hours 2"
 # make clean        removes what the set-up and the builds made
 # PYTHON=python3.11 names the interpreter for a first set-up.
 
@@ -16,7 +18,7 @@ PYTEST := pytest -n 2 --dist loadfile
 SOURCES := $(shell find src ros_insdvl ros_insdvl_sim models tools/build.sh tools/warm.py \
 	-name __pycache__ -prune -o -name '*.egg-info' -prune -o -print)
 
-.PHONY: demo test test-jazzy results clean
+.PHONY: demo test test-jazzy results faults soak clean
 .DELETE_ON_ERROR:
 
 demo: .venv/.built
@@ -24,6 +26,9 @@ demo: .venv/.built
 
 results: .venv/.built
 	.venv/bin/insdvl results $(ARGS)
+
+faults soak: .venv/.built
+	AMENT_PREFIX_PATH=$(CURDIR)/.venv .venv/lib/ros_insdvl_sim/$@ $(ARGS)
 
 test: .venv/.built
 	AMENT_PREFIX_PATH=$(CURDIR)/.venv .venv/bin/$(PYTEST) $(ARGS)

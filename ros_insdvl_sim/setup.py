@@ -26,7 +26,7 @@ setup(
     entry_points={
         "console_scripts": [
             f"{executable} = {NAME}.{executable}:main"
-            for executable in ("demo", "relay", "replay", "simulator")
+            for executable in ("demo", "faults", "relay", "replay", "simulator", "soak")
         ]
     },
 )

@@ -140,7 +140,8 @@ class Watched:
     @property
     def rejected(self) -> int:
         """Number of messages and updates that it did not use."""
-        return sum(int(v) for key, v in self.values.items() if key.startswith("rejected "))
+        told = (v for key, v in self.values.items() if key.startswith("rejected "))
+        return sum(int(v) for v in told if v.isdecimal())  # a stranger may tell anything
 
     @property
     def nis(self) -> str:

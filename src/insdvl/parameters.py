@@ -260,6 +260,24 @@ class ImuParameters:
     gap_rate_std: float = parameter(
         0.05, "Rate of turn that may go unseen in a gap, one sigma.", unit="rad/s", low=0.0
     )
+    acceleration_range: float = parameter(
+        0.0,
+        "A channel that reads this or more, either way, is saturated: the motion that it does not "
+        "see is added as in a gap; 0 if no range is declared.",
+        unit="m/s^2",
+        low=0.0,
+    )
+    rate_range: float = parameter(
+        0.0, "As acceleration_range, of the angular rate.", unit="rad/s", low=0.0
+    )
+    frozen_samples: int = parameter(
+        100,
+        "A channel with this many exactly equal samples in a row is frozen: it is taken for one "
+        "that feels gravity only, or no turn, and the motion that it does not see is added as in a "
+        "gap; 0 for never.",
+        low=0,
+        high=1_000_000,
+    )
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,12 @@ def nominal(parameters: ProcessNoiseParameters, C_b_i: Array) -> tuple[Array, Ar
     """Nominal variances per sample (Q_f, Q_w), each (3, 3), rotated from IMU to base_link axes."""
     Q_f = C_b_i @ np.diag(parameters.accelerometer_variance) @ C_b_i.T
     Q_w = C_b_i @ np.diag(parameters.gyroscope_variance) @ C_b_i.T
-    return Q_f, Q_w
+    return _symmetric(Q_f), _symmetric(Q_w)
+
+
+def _symmetric(Q: Array) -> Array:
+    """Without what rounding makes of a product; P is as symmetric as Q is."""
+    return (Q + Q.T) / 2
 
 
 def bounded(Q: Array, floor: float, ceiling: float) -> tuple[Array, bool, bool]:
@@ -106,12 +111,12 @@ class ProcessNoiseSource:
             Q_f = self.Q_f_nominal
         else:
             Q_f, low_f, high_f = bounded(Q_f, p.accelerometer_floor, p.accelerometer_ceiling)
-            Q_f = C @ Q_f @ C.T
+            Q_f = _symmetric(C @ Q_f @ C.T)
         if Q_w is None:
             Q_w = self.Q_w_nominal
         else:
             Q_w, low_w, high_w = bounded(Q_w, p.gyroscope_floor, p.gyroscope_ceiling)
-            Q_w = C @ Q_w @ C.T
+            Q_w = _symmetric(C @ Q_w @ C.T)
         s["Q_f"], s["Q_w"], s["q_ns"] = Q_f, Q_w, stamp_ns
         s["floors"] += int(low_f or low_w)
         s["ceilings"] += int(high_f or high_w)
@@ -134,4 +139,4 @@ class ProcessNoiseSource:
         interval_ns = int(s["time_ns"]) - int(s["dvl_ns"])
         if s["innovation_count"] >= self.window and s["dvl_ns"] != NEVER and interval_ns > 0:
             nu = s["innovations"]
-            s["Q_x"] = K @ (nu.T @ nu / self.window) @ K.T / (interval_ns / NS)
+            s["Q_x"] = _symmetric(K @ (nu.T @ nu / self.window) @ K.T / (interval_ns / NS))

@@ -17,7 +17,7 @@ SOURCES = {
 }
 EXECUTABLES = {
     "ros_insdvl": {"filter", "monitor", "tuner"},
-    "ros_insdvl_sim": {"demo", "relay", "replay", "simulator"},
+    "ros_insdvl_sim": {"demo", "faults", "relay", "replay", "simulator", "soak"},
 }
 MAINS = [f"{package}.{name}" for package, names in EXECUTABLES.items() for name in sorted(names)]
 

@@ -1,0 +1,187 @@
+"""Whatever arrives at a callback of a node, the node lives, and what it publishes could be true."""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import TwistStamped, TwistWithCovarianceStamped
+from nav_msgs.msg import Odometry
+from rclpy.context import Context
+from rclpy.parameter import Parameter
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import Imu, NavSatFix
+
+from insdvl import inputs
+from insdvl.bags import encode
+from insdvl.faults.fuzz import Adversary
+from ros_insdvl.filter import FilterNode
+from ros_insdvl.monitor import Monitor
+from ros_insdvl.tuner import TunerNode
+from ros_insdvl_sim.relay import KINDS, Relay
+
+COUNT = 1500
+TYPES = {
+    inputs.IMU: Imu,
+    inputs.FIX: NavSatFix,
+    inputs.TWIST: TwistStamped,
+    inputs.TWIST_WITH_COVARIANCE: TwistWithCovarianceStamped,
+    inputs.ODOMETRY: Odometry,
+}
+
+
+class Bench:
+    """A node whose callbacks are called here, and that publishes to a list."""
+
+    def __init__(self, kind: Any, **parameters: Any) -> None:
+        self.context = Context()
+        self.context.init()
+        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+        self.node = kind(context=self.context, parameter_overrides=overrides)
+        self.published: dict[str, list[bytes]] = {topic: [] for topic in self.node.outputs}
+        for topic, output in self.node.outputs.items():
+            output.send = self._keeper(topic)
+
+    def _keeper(self, topic: str) -> Callable[[Any], None]:
+        def keep(message: Any) -> None:
+            data = message if isinstance(message, bytes) else serialize_message(message)
+            self.published[topic].append(data)
+
+        return keep
+
+    def give(self, topic: str, message: Any) -> None:
+        self.node.inputs[topic].callback(message)
+
+    def messages(self, topic: str, kind: Any) -> list[Any]:
+        return [deserialize_message(data, kind) for data in self.published[topic]]
+
+    def close(self) -> None:
+        self.node.destroy_node()
+        self.context.shutdown()
+
+
+@pytest.fixture
+def bench() -> Iterator[Callable[..., Bench]]:
+    made: list[Bench] = []
+
+    def make(kind: Any, **parameters: Any) -> Bench:
+        made.append(Bench(kind, **parameters))
+        return made[-1]
+
+    yield make
+    for each in made:
+        each.close()
+
+
+def adverse(topics: dict[str, str], count: int, *, odd: float = 0.1) -> Iterator[tuple[str, Any]]:
+    """Messages of rclpy, through their bytes, as they come from a network."""
+    adversary = Adversary(np.random.default_rng(1), odd=odd, wire=True)
+    for topic, message in adversary.messages(topics, count):
+        data = encode(topic, 0, message).data
+        yield topic, deserialize_message(data, TYPES[topics[topic]])
+
+
+def all_numbers(message: Any) -> list[float]:
+    if isinstance(message, float):
+        return [message]
+    if isinstance(message, np.ndarray):
+        return message.tolist()
+    names = getattr(message, "get_fields_and_field_types", dict)()
+    return [x for name in names for x in all_numbers(getattr(message, name))]
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        {},
+        {"process_noise.source": "external", "output_delay": 1.0},
+        {"initial.mode": "topic", "origin.source": "topic", "process_noise.source": "message"},
+    ],
+)
+def test_filter(bench: Any, parameters: dict[str, Any]) -> None:
+    b = bench(FilterNode, **parameters)
+    topics = dict(b.node._inputs.topics)
+    for topic, message in adverse(topics, COUNT):
+        if topic in b.node.inputs:  # a topic of the initial state is left when it has been heard
+            b.give(topic, message)
+    odometry = b.messages("odometry/filtered", Odometry)
+    assert len(odometry) > 100
+    for message in odometry:
+        assert np.isfinite(all_numbers(message)).all()
+        for P in (message.pose.covariance, message.twist.covariance):
+            P = P.reshape(6, 6)
+            assert np.array_equal(P, P.T) and (np.diag(P) > 0.0).all()
+    for topic, kind in (("imu/bias", Imu), ("dvl/innovation", TwistWithCovarianceStamped)):
+        assert all(np.isfinite(all_numbers(m)).all() for m in b.messages(topic, kind))
+    assert b.node.rejected.total() > 50
+    assert b.node.statuses()
+
+
+def test_tuner(bench: Any) -> None:
+    b = bench(TunerNode, rate=10.0)
+    for odd in (0.1, 0.001):  # a window takes 200 samples in a row
+        for topic, message in adverse({"imu/data_raw": inputs.IMU}, 2 * COUNT, odd=odd):
+            b.give(topic, message)
+    learned = b.messages("process_noise", Imu)
+    assert learned
+    for message in learned:
+        for field in (
+            message.linear_acceleration_covariance,
+            message.angular_velocity_covariance,
+        ):
+            assert np.isfinite(field).all() and (field >= 0.0).all()
+    assert b.node.rejected.total() > 50
+    assert b.node.statuses()
+
+
+def test_monitor(bench: Any) -> None:
+    b = bench(Monitor, filters=["/a", "/b"])
+    topics = {
+        "ground_truth/odometry": inputs.ODOMETRY,
+        "/a/odometry/filtered": inputs.ODOMETRY,
+        "/b/odometry/filtered": inputs.ODOMETRY,
+        "process_noise": inputs.IMU,
+        "ground_truth/process_noise": inputs.IMU,
+    }
+    rng = np.random.default_rng(4)
+    for k, (topic, message) in enumerate(adverse(topics, COUNT)):
+        b.give(topic, message)
+        if k % 5 == 0:
+            b.give("/diagnostics", diagnostics(rng))
+        if k % 50 == 0:
+            assert b.node.table() and b.node.line()
+
+
+def diagnostics(rng: np.random.Generator) -> DiagnosticArray:
+    names = ("/a/insdvl_filter: imu", "/b/insdvl_filter", "", ": ", "x" * 1000, "/a/insdvl_filter")
+    keys = ("NIS, mean of 100", "rate imu/data_raw [Hz]", "rejected imu: gate", "")
+    values = ("3.0", "nan", "", "many", "-7", "1e400")
+    statuses = [
+        DiagnosticStatus(
+            level=bytes([int(rng.integers(0, 256))]),
+            name=names[rng.integers(len(names))],
+            message="ü" * int(rng.integers(0, 50)),
+            values=[
+                KeyValue(key=keys[rng.integers(len(keys))], value=values[rng.integers(len(values))])
+                for _ in range(rng.integers(0, 4))
+            ],
+        )
+        for _ in range(rng.integers(0, 4))
+    ]
+    return DiagnosticArray(status=statuses)
+
+
+def test_relay_sends_on_what_it_does_not_understand(bench: Any) -> None:
+    b = bench(Relay, topics=list(KINDS), duplication=0.5, loss=0.1)
+    rng = np.random.default_rng(2)
+    sent = []
+    for _ in range(COUNT):
+        topic = list(KINDS)[rng.integers(len(KINDS))]
+        data = rng.bytes(int(rng.integers(0, 200)))
+        b.give("sent/" + topic, data)
+        sent.append((topic, data))
+    b.node.destroy_node()  # joins the thread
+    arrived = sum(len(data) for data in b.published.values())
+    assert arrived <= COUNT - b.node.lost.total() + b.node.doubled.total()
+    assert all((topic, x) in sent for topic, data in b.published.items() for x in data[:20])
