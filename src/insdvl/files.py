@@ -36,6 +36,17 @@ def read(path: Path, limit: int) -> bytes:
     return data
 
 
+def archive(arrays: Mapping[str, NDArray[Any]]) -> bytes:
+    """The bytes of an ``.npz`` file of arrays.
+
+    Not compressed, so that the bytes do not depend on a compressor's version.
+    """
+    buffer = io.BytesIO()
+    named: dict[str, Any] = dict(arrays)
+    np.savez(buffer, **named)
+    return buffer.getvalue()
+
+
 def arrays(data: bytes, limit: int) -> dict[str, NDArray[Any]]:
     """The arrays in the bytes of an ``.npz`` file.
 
@@ -44,13 +55,13 @@ def arrays(data: bytes, limit: int) -> dict[str, NDArray[Any]]:
             more than ``limit`` bytes.
     """
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            entries = archive.infolist()
+        with zipfile.ZipFile(io.BytesIO(data)) as file:
+            entries = file.infolist()
             size = sum(entry.file_size for entry in entries)
             if size > limit:
                 raise ValueError(f"they have {size} bytes, and at most {limit} are read")
             return {
-                entry.filename.removesuffix(".npy"): _array(_unpacked(archive, entry))
+                entry.filename.removesuffix(".npy"): _array(_unpacked(file, entry))
                 for entry in entries
             }
     except Exception as error:  # damaged bytes raise what zipfile, zlib or numpy make of them

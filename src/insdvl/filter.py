@@ -24,6 +24,7 @@ from insdvl.frames import CONVENTIONS, rotation_from_rpy
 from insdvl.kernels import kernel
 from insdvl.parameters import FilterParameters
 from insdvl.process_noise import ProcessNoiseSource, variational
+from insdvl.rotation import rotate_back
 from insdvl.state import (
     NEVER,
     Constants,
@@ -70,8 +71,106 @@ _INPUT = ATTITUDE.stop
 
 
 @kernel
+def _is_saturated(c: Constants, reading: Array, i: int) -> bool:
+    return abs(reading[i]) >= c.range[i]
+
+
+@kernel
+def _is_frozen(s: State, c: Constants, reading: Array, i: int) -> bool:
+    """Whether the sample is at least the last of ``frozen_samples`` that are equal."""
+    return 0 < c.frozen <= s.equal[i] + 1 and reading[i] == s.reading[i]
+
+
+@kernel
+def _growth(from_ns: int, to_ns: int, since_ns: int, is_new: bool) -> float:
+    """Density over a step that makes T^2 grow, T being the time since a stamp; or all of it."""
+    before = 0.0 if is_new else (from_ns - since_ns) * 1e-9
+    after = (to_ns - since_ns) * 1e-9
+    return (after**2 - before**2) / ((to_ns - from_ns) * 1e-9)
+
+
+@kernel
+def _doubt(s: State, w: Workspace, c: Constants, reading: Array, to_ns: int) -> bool:
+    """Densities, up to a stamp, of the motion that channels do not see; whether there is any.
+
+    As in a gap, a constant error of one sigma over a time T makes (sigma T)^2. T begins with the
+    sample that saturates, or with the first of those that are equal: what grew until that was
+    noticed comes at once. An accepted DVL measurement tells velocity and tilt, so for them T begins
+    again with it; the heading it does not tell.
+    """
+    any_unseen = False
+    for i in range(6):
+        w.unseen[i] = w.unseen_heading[i] = 0.0
+        frozen = _is_frozen(s, c, reading, i)
+        w.frozen[i] = frozen
+        if not (frozen or _is_saturated(c, reading, i)):
+            continue
+        any_unseen = True
+        is_new = s.unseen_ns[i] == NEVER
+        if is_new:
+            s.unseen_ns[i] = s.equal_ns[i] if frozen else s.imu_ns
+        told_ns = max(s.unseen_ns[i], s.accepted_ns)
+        w.unseen[i] = _growth(s.time_ns, to_ns, told_ns, is_new)
+        if i < 3:
+            w.unseen[i] *= c.gap_f**2
+        else:
+            total = _growth(s.time_ns, to_ns, s.unseen_ns[i], is_new)
+            w.unseen_heading[i] = c.gap_w**2 * (total - w.unseen[i])
+            w.unseen[i] *= c.gap_w**2
+    return any_unseen
+
+
+@kernel
+def _replace_frozen(s: State, w: Workspace, c: Constants, f_hat: Array, w_hat: Array) -> None:
+    """A frozen channel tells nothing: what is expected without acceleration and turn replaces it.
+
+    The attitude tells the share of gravity, which may be far more than the motion.
+    """
+    strapdown.earth_terms(s, w, c)
+    rotate_back(w.x4, s.C_n_b, w.g_n)
+    for i in range(3):
+        force, rate = 0.0, 0.0
+        for a in range(3):
+            force += c.C_b_i[a, i] * (-w.x4[a] - f_hat[a])
+            rate -= c.C_b_i[a, i] * w_hat[a]
+        for a in range(3):
+            if w.frozen[i]:
+                f_hat[a] += c.C_b_i[a, i] * force
+            if w.frozen[3 + i]:
+                w_hat[a] += c.C_b_i[a, i] * rate
+
+
+@kernel
+def _add_rotated(Q: Array, C: Array, variances: Array, first: int) -> None:
+    """Q += C diag(variances[first : first + 3]) C^T."""
+    for i in range(3):
+        for j in range(3):
+            for a in range(3):
+                Q[i, j] += C[i, a] * variances[first + a] * C[j, a]
+
+
+@kernel
+def _add_vertical(Q: Array, C_n_b: Array, C_b_i: Array, variances: Array) -> None:
+    """Q += sum of variances[3 + k] (a_k . d)^2 d d^T, for the axes a_k and the vertical d."""
+    for k in range(3):
+        share = 0.0
+        for a in range(3):
+            share += C_b_i[a, k] * C_n_b[2, a]
+        for i in range(3):
+            for j in range(3):
+                Q[i, j] += variances[3 + k] * share**2 * C_n_b[2, i] * C_n_b[2, j]
+
+
+@kernel
 def _advance(
-    s: State, w: Workspace, c: Constants, sample_ns: int, f_b: Array, w_ib_b: Array, to_ns: int
+    s: State,
+    w: Workspace,
+    c: Constants,
+    sample_ns: int,
+    f_b: Array,
+    w_ib_b: Array,
+    reading: Array,
+    to_ns: int,
 ) -> None:
     """Advance an initialised state with (a part of) the sample that ends at ``sample_ns``."""
     if to_ns <= s.time_ns:
@@ -87,6 +186,9 @@ def _advance(
     for i in range(3):
         f_hat[i] = f_b[i] - s.b_f[i]
         w_hat[i] = w_ib_b[i] - s.b_w[i]
+    in_doubt = _doubt(s, w, c, reading, to_ns)
+    if in_doubt:
+        _replace_frozen(s, w, c, f_hat, w_hat)
     strapdown.mechanise(s, w, c, f_hat, w_hat, dt)
 
     # Densities of the input noise; in a gap, of the motion that was not seen as well: a constant
@@ -103,6 +205,10 @@ def _advance(
             Q_w[i, j] = scale * s.Q_w[i, j]
         Q_f[i, i] += c.gap_f * c.gap_f * gap
         Q_w[i, i] += c.gap_w * c.gap_w * gap
+    if in_doubt:
+        _add_rotated(Q_f, c.C_b_i, w.unseen, 0)
+        _add_rotated(Q_w, c.C_b_i, w.unseen, 3)
+        _add_vertical(Q_w, s.C_n_b, c.C_b_i, w.unseen_heading)
 
     error_state.dynamics(w, c)
     error_state.discretise(w, c, dt)
@@ -121,11 +227,38 @@ def _advance(
 
 
 @kernel
-def _complete(s: State, c: Constants, sample_ns: int) -> None:
+def _watch(s: State, c: Constants, sample_ns: int, reading: Array) -> None:
+    """Remember what the channels read, and which of them are to be believed."""
+    saturated, frozen = 0, 0
+    for i in range(6):
+        if _is_saturated(c, reading, i):
+            saturated = 1
+        elif _is_frozen(s, c, reading, i):
+            frozen = 1
+        else:
+            s.unseen_ns[i] = NEVER
+        if s.equal[i] > 0 and reading[i] == s.reading[i]:
+            s.equal[i] += 1
+        else:
+            s.equal[i] = 1
+            s.equal_ns[i] = sample_ns
+            s.reading[i] = reading[i]
+    s.saturated += saturated
+    s.frozen += frozen
+
+
+@kernel
+def _complete(s: State, c: Constants, sample_ns: int, reading: Array) -> None:
     """The sample is used up."""
     if s.imu_ns != NEVER and sample_ns - s.imu_ns > c.gap_ns:
         s.gaps += 1
+    _watch(s, c, sample_ns, reading)
     s.imu_ns = sample_ns
+
+
+@kernel
+def _watch_sample(state: Records, constants: Records, sample_ns: int, reading: Array) -> None:
+    _watch(state[0], constants[0], sample_ns, reading)
 
 
 @kernel
@@ -136,9 +269,10 @@ def _predict_part(
     sample_ns: int,
     f_b: Array,
     w_ib_b: Array,
+    reading: Array,
     to_ns: int,
 ) -> None:
-    _advance(state[0], workspace[0], constants[0], sample_ns, f_b, w_ib_b, to_ns)
+    _advance(state[0], workspace[0], constants[0], sample_ns, f_b, w_ib_b, reading, to_ns)
 
 
 @kernel
@@ -149,14 +283,15 @@ def _predict_samples(
     stamps_ns: NDArray[np.int64],
     f_b: Array,
     w_ib_b: Array,
+    readings: Array,
     first: int,
     last: int,
     states: Records,
 ) -> None:
     s, w, c = state[0], workspace[0], constants[0]
     for k in range(first, last):
-        _advance(s, w, c, stamps_ns[k], f_b[k], w_ib_b[k], stamps_ns[k])
-        _complete(s, c, stamps_ns[k])
+        _advance(s, w, c, stamps_ns[k], f_b[k], w_ib_b[k], readings[k], stamps_ns[k])
+        _complete(s, c, stamps_ns[k], readings[k])
         states[k] = s
 
 
@@ -223,6 +358,9 @@ class Filter:
         c["gap_ns"] = round(parameters.imu.max_gap * NS)
         c["gap_f"] = parameters.imu.gap_acceleration_std
         c["gap_w"] = parameters.imu.gap_rate_std
+        ranges = np.repeat([parameters.imu.acceleration_range, parameters.imu.rate_range], 3)
+        c["C_b_i"], c["frozen"] = self.C_b_i, parameters.imu.frozen_samples
+        c["range"] = np.where(ranges > 0.0, ranges, np.inf)
         c["C_d_b"] = self.C_b_d.T
         c["l_b"] = l_b_dvl
         c["bias_variance"] = parameters.dvl.bias_std**2
@@ -317,13 +455,21 @@ class Filter:
         s["time_ns"], s["initialised"] = stamp_ns, 1
         s["innovation_count"], s["Q_x"] = 0, 0.0
         self._trust_dvl(s)
+        # What a channel has not shown before is in the state that was told.
+        s["unseen_ns"], s["equal_ns"] = NEVER, np.maximum(s["equal_ns"], stamp_ns)
 
     def _body_axes(self, values: tuple[float, ...]) -> Array:
         return CONVENTIONS[self.parameters.frame_convention].body @ np.array(values)
 
-    def await_start(self, state: Records, sample: Imu) -> None:
-        """An uninitialised state sees a sample (base_link axes), and may start from it."""
+    def await_start(self, state: Records, sample: Imu, reading: Array) -> None:
+        """An uninitialised state sees a sample (base_link axes), and may start from it.
+
+        Args:
+            sample: The sample.
+            reading: (6,) the same as the IMU has read it, in its axes: f, then w.
+        """
         s = state[0]
+        _watch_sample(state, self.constants, sample.stamp_ns, reading)
         mode = self.parameters.initial.mode
         if not np.isnan(s["lat_0"]):
             if mode == "parameters":
@@ -357,10 +503,18 @@ class Filter:
         self.initialise(state, initial, sample.stamp_ns, sample.w_ib_b)
 
     def predict_part(
-        self, state: Records, sample_ns: int, f_b: Array, w_ib_b: Array, to_ns: int
+        self,
+        state: Records,
+        sample_ns: int,
+        f_b: Array,
+        w_ib_b: Array,
+        reading: Array,
+        to_ns: int,
     ) -> None:
-        """Advance to a stamp inside the interval of a sample (base_link axes)."""
-        _predict_part(state, self._workspace, self.constants, sample_ns, f_b, w_ib_b, to_ns)
+        """Advance to a stamp inside the interval of a sample, see `predict_samples`."""
+        _predict_part(
+            state, self._workspace, self.constants, sample_ns, f_b, w_ib_b, reading, to_ns
+        )
 
     def predict_samples(
         self,
@@ -368,6 +522,7 @@ class Filter:
         stamps_ns: NDArray[np.int64],
         f_b: Array,
         w_ib_b: Array,
+        readings: Array,
         first: int,
         last: int,
         states: Records,
@@ -378,10 +533,20 @@ class Filter:
             stamps_ns: (N,) stamps of the samples.
             f_b: (N, 3) specific force [m/s^2], base_link axes.
             w_ib_b: (N, 3) angular rate [rad/s], base_link axes.
+            readings: (N, 6) the same as the IMU has read them, in its axes: f, then w.
             states: (N,) records.
         """
         _predict_samples(
-            state, self._workspace, self.constants, stamps_ns, f_b, w_ib_b, first, last, states
+            state,
+            self._workspace,
+            self.constants,
+            stamps_ns,
+            f_b,
+            w_ib_b,
+            readings,
+            first,
+            last,
+            states,
         )
 
     def tell_process_noise(self, state: Records, event: ProcessNoise) -> None:
@@ -403,6 +568,9 @@ class Filter:
         if reason:
             return UpdateReport(np.full(3, np.nan), np.full((3, 3), np.nan), np.nan, False, reason)
         Q_w_mean = self.sample_variance_w(s) / samples
+        if self._in_doubt(s):
+            w_ib_b, unseen = self._seen_rate(s, w_ib_b)
+            Q_w_mean += unseen
         R = (self._R_default if dvl.R is None else dvl.R) + self._l_x @ Q_w_mean @ self._l_x.T
         R = (R + R.T) / 2
         nis = _innovate(state, self._workspace, self.constants, dvl.v_d, w_ib_b, R)
@@ -432,6 +600,19 @@ class Filter:
         c = self.constants[0]
         return s["Q_w"] * (c["density"] * c["rate"])
 
+    @staticmethod
+    def _in_doubt(s: State) -> bool:
+        """Whether a channel of the IMU is saturated or frozen."""
+        return bool((s["unseen_ns"] != NEVER).any())
+
+    def _seen_rate(self, s: State, w_ib_b: Array) -> tuple[Array, Array]:
+        """The rate without that of frozen channels, and the variance (3, 3) of what is not seen."""
+        unseen = s["unseen_ns"][3:] != NEVER
+        frozen = unseen & (s["equal"][3:] + 1 >= self.parameters.imu.frozen_samples)
+        C = self.C_b_i
+        w = np.where(frozen, C.T @ s["b_w"], C.T @ w_ib_b)
+        return C @ w, C @ np.diag(self.parameters.imu.gap_rate_std**2 * unseen) @ C.T
+
     def _lock_loss(self, s: State, dvl: Dvl) -> str:
         """What says that the DVL has not measured: ``no_lock``, ``repeated``; else nothing."""
         if not self.parameters.dvl.lock_check:
@@ -451,7 +632,7 @@ class Filter:
         an error that goes on repeats the last innovation, to within the noise of the DVL and what
         the IMU may have drifted in between: the more likely of the two explanations holds.
         """
-        known = s["fault_ns"] != NEVER
+        known = s["fault_ns"] != NEVER and not self._in_doubt(s)
         if not known or dvl.stamp_ns - s["rejected_from_ns"] >= self._patience_ns:
             return False
         dt = (dvl.stamp_ns - s["fault_ns"]) / NS
@@ -484,10 +665,12 @@ class Filter:
         inflated = s["rejected_ns"] - s["rejected_from_ns"] >= self._patience_ns
         s["rejections"] += 1
         s["rejected_ns"] = dvl.stamp_ns
-        if not inflated and since_ns >= self._patience_ns:
+        # An IMU that is in doubt itself has no patience to ask for.
+        in_doubt = self._in_doubt(s)
+        if in_doubt or (not inflated and since_ns >= self._patience_ns):
             s["P"][VELOCITY, VELOCITY] += np.eye(3) * (innovation @ innovation)
             s["inflations"] += 1
-        if not inflated or since_ns < 2 * self._patience_ns:
+        if in_doubt or not inflated or since_ns < 2 * self._patience_ns:
             return False, "gate"
         # Velocity from this measurement alone, independent of all else; as uncertain as the two
         # are apart, for one of them is wrong.

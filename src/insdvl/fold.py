@@ -169,6 +169,7 @@ class Fold:
         self._stamps = np.empty(self._capacity, dtype=np.int64)
         self._f_b = np.empty((self._capacity, 3))
         self._w_ib_b = np.empty((self._capacity, 3))
+        self._readings = np.empty((self._capacity, 6))  # the same, in the axes of the IMU
         self._states = np.empty(self._capacity, dtype=self._start.dtype)
         self._entries: list[_Entry] = []
         self._unpublished: list[_Entry] = []  # DVL measurements, until `take` has given them
@@ -306,13 +307,14 @@ class Fold:
         rotated = np.empty((2, 3))
         rotate_samples(rotated, self.filter.C_b_i, np.array([sample.f_b, sample.w_ib_b]))
         f_b, w_ib_b = rotated
+        reading = np.concatenate([sample.f_b, sample.w_ib_b])
         n, stamp_ns = self._count, sample.stamp_ns
         if n and stamp_ns <= self._stamps[n - 1]:
             k = int(np.searchsorted(self._stamps[:n], stamp_ns))
             if self._stamps[k] == stamp_ns:
                 kept = self._f_b[k].tobytes() + self._w_ib_b[k].tobytes()
                 if f_b.tobytes() + w_ib_b.tobytes() < kept:
-                    self._f_b[k], self._w_ib_b[k] = f_b, w_ib_b
+                    self._f_b[k], self._w_ib_b[k], self._readings[k] = f_b, w_ib_b, reading
                     self._stale = min(self._stale, k)
                 return "duplicate"
         else:
@@ -324,6 +326,7 @@ class Fold:
             (self._stamps, stamp_ns),
             (self._f_b, f_b),
             (self._w_ib_b, w_ib_b),
+            (self._readings, reading),
         ):
             array[k + 1 : n + 1] = array[k:n]
             array[k] = value
@@ -372,6 +375,7 @@ class Fold:
         self._stamps[:n] = stamps_ns
         rotate_samples(self._f_b, self.filter.C_b_i, f_b)
         rotate_samples(self._w_ib_b, self.filter.C_b_i, w_ib_b)
+        self._readings[:n, :3], self._readings[:n, 3:] = f_b, w_ib_b
         self._count, self._stale = n, 0
 
     def _add_entry(self, event: Event) -> str | None:
@@ -419,7 +423,7 @@ class Fold:
             return 0
         self._start[0] = self._states[drop - 1]
         keep = self._count - drop
-        for array in (self._stamps, self._f_b, self._w_ib_b, self._states):
+        for array in (self._stamps, self._f_b, self._w_ib_b, self._readings, self._states):
             array[:keep] = array[drop : self._count].copy()
         self._count = self._stale = keep
         start_ns = int(self._start[0]["imu_ns"])
@@ -430,6 +434,7 @@ class Fold:
         self._stamps = _grown(self._stamps, size)
         self._f_b = _grown(self._f_b, size)
         self._w_ib_b = _grown(self._w_ib_b, size)
+        self._readings = _grown(self._readings, size)
         self._states = _grown(self._states, size)
 
     # ---------------------------------------------------------------- fold
@@ -449,9 +454,7 @@ class Fold:
                 next_ns = entries[e].event.stamp_ns if e < len(entries) else None
                 run_end = n if next_ns is None else int(np.searchsorted(self._stamps[:n], next_ns))
                 if run_end > k:
-                    self.filter.predict_samples(
-                        state, self._stamps, self._f_b, self._w_ib_b, k, run_end, self._states
-                    )
+                    self._predict(state, k, run_end)
                     k = run_end
                     continue
             e = self._fold_sample(state, k, e)
@@ -459,22 +462,26 @@ class Fold:
             k += 1
         self._stale = n
 
+    def _predict(self, state: Records, first: int, last: int) -> None:
+        """Advance over the samples first <= k < last."""
+        arrays = self._stamps, self._f_b, self._w_ib_b, self._readings
+        self.filter.predict_samples(state, *arrays, first, last, self._states)
+
     def _fold_sample(self, state: Records, k: int, e: int) -> int:
         """Advance over sample k and the events in its interval; returns the next event's index."""
         entries = self._entries
-        stamp_ns, f_b, w_ib_b = int(self._stamps[k]), self._f_b[k], self._w_ib_b[k]
+        stamp_ns, reading = int(self._stamps[k]), self._readings[k]
+        f_b, w_ib_b = self._f_b[k], self._w_ib_b[k]
         while e < len(entries) and entries[e].event.stamp_ns < stamp_ns:
             event = entries[e].event
             if state[0]["initialised"] and not (isinstance(event, Initial) and event.once):
-                self.filter.predict_part(state, stamp_ns, f_b, w_ib_b, event.stamp_ns)
+                self.filter.predict_part(state, stamp_ns, f_b, w_ib_b, reading, event.stamp_ns)
             self._apply(state, entries[e], k)
             e += 1
         if state[0]["initialised"]:
-            self.filter.predict_samples(
-                state, self._stamps, self._f_b, self._w_ib_b, k, k + 1, self._states
-            )
+            self._predict(state, k, k + 1)
         else:
-            self.filter.await_start(state, Imu(stamp_ns, f_b, w_ib_b))
+            self.filter.await_start(state, Imu(stamp_ns, f_b, w_ib_b), reading)
         while e < len(entries) and entries[e].event.stamp_ns == stamp_ns:
             self._apply(state, entries[e], k)
             e += 1
@@ -656,8 +663,9 @@ def run(
             more than jump_limit.
     """
     fold = Fold(parameters, capacity=max(len(stamps_ns), 1))
-    refused = Counter(reason for event in events if (reason := fold.add(event)) is not None)
     fold.add_samples(stamps_ns, f_b, w_ib_b)
+    reasons = (refusal(event) or fold._insert(event) for event in events)
+    refused = Counter(reason for reason in reasons if reason is not None)
     return FoldResult(
         filter=fold.filter,
         states=fold.states,

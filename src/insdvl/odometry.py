@@ -19,7 +19,7 @@ from insdvl.rotation import (
     rotate_back,
     skew,
 )
-from insdvl.state import State
+from insdvl.state import NEVER, State
 
 Array = NDArray[np.float64]
 Records = NDArray[np.void]
@@ -115,7 +115,8 @@ def _odometry(states: Records, k: int, constants: Records, out: Records) -> None
 
     With the errors of the model, dp_base = dp + [C l x] psi, and in body axes
     dv_base = C_b_n dv (+ C_b_n [v x] psi for `ned`) - [l x] (db_w + n),  dw_nb = -(db_w + n),
-    where n is the white noise of the one sample that the turn rate is measured with.
+    where n is the white noise of the one sample that the turn rate is measured with, and what its
+    saturated or frozen channels do not see.
     """
     s, c, o = states[k], constants[0], out[0]
     C, J, M, N, x, y = s.C_n_b, o.J, o.M1, o.M2, o.x1, o.x2
@@ -153,15 +154,19 @@ def _odometry(states: Records, k: int, constants: Records, out: Records) -> None
     error_state.set_block(J, 0, _GYROSCOPE_BIAS, -1.0, N)
     error_state.set_block(J, 3, _GYROSCOPE_BIAS, -1.0, c.body)
     _congruence(o.twist_covariance, J, s.P, n)
-    # The sample's noise enters as an error of the gyroscope bias would.
+    # The sample's noise, and what its channels do not see, enter as the gyroscope bias does.
+    for a in range(3):
+        for b in range(3):
+            M[a, b] = c.density * c.rate * s.Q_w[a, b]
+            for i in range(3):
+                if s.unseen_ns[3 + i] != NEVER:
+                    M[a, b] += c.C_b_i[a, i] * c.gap_w**2 * c.C_b_i[b, i]
     for i in range(6):
         for j in range(6):
             for a in range(3):
                 for b in range(3):
                     o.twist_covariance[i, j] += (
-                        J[i, _GYROSCOPE_BIAS + a]
-                        * (c.density * c.rate * s.Q_w[a, b])
-                        * J[j, _GYROSCOPE_BIAS + b]
+                        J[i, _GYROSCOPE_BIAS + a] * M[a, b] * J[j, _GYROSCOPE_BIAS + b]
                     )
     for i in range(6):  # the sums of two mirrored elements are rounded in different orders
         for j in range(i):

@@ -15,7 +15,6 @@ that interrupted work, started again, does only what is missing.
 import argparse
 import contextlib
 import hashlib
-import io
 import itertools
 import json
 import logging
@@ -43,7 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from insdvl.files import arrays, write
+from insdvl.files import archive, arrays, write
 from insdvl.kernels import source_digest
 
 #: What a task gives.
@@ -200,13 +199,11 @@ def _remove(folder: Path) -> None:
 
 def _keep(path: Path, result: Result) -> None:
     """Write a result; the file is complete when it takes its name."""
-    buffer = io.BytesIO()
-    named: dict[str, Any] = dict(result)
-    np.savez(buffer, **named)
+    data = archive(result)
     try:
-        _write(path, buffer.getvalue())
+        _write(path, data)
     except FileNotFoundError:  # another program removed the folder after we had made it
-        _write(path, buffer.getvalue())
+        _write(path, data)
 
 
 def _write(path: Path, data: bytes) -> None:

@@ -12,6 +12,7 @@ of floats throughout. What is wrong is named, with its value and what is allowed
 import dataclasses
 import difflib
 import math
+import re
 import typing
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -157,6 +158,17 @@ class Declaration:
         )
 
 
+def _check_frames(odom: str, base: str) -> None:
+    """What is related by an odometry are two frames with names."""
+    for name, frame in (("odom_frame", odom), ("base_frame", base)):
+        if not frame:
+            raise ParameterError(f"parameter '{name}' must not be empty")
+    if odom == base:
+        raise ParameterError(
+            f"parameter 'base_frame' must be another one than odom_frame, got {shown(base)}"
+        )
+
+
 def declarations(group: type[Any], prefix: str = "") -> Iterator[Declaration]:
     """The parameters of a group, those of nested groups included, in their written order."""
     types = typing.get_type_hints(group)
@@ -247,6 +259,24 @@ class ImuParameters:
     )
     gap_rate_std: float = parameter(
         0.05, "Rate of turn that may go unseen in a gap, one sigma.", unit="rad/s", low=0.0
+    )
+    acceleration_range: float = parameter(
+        0.0,
+        "A channel that reads this or more, either way, is saturated: the motion that it does not "
+        "see is added as in a gap; 0 if no range is declared.",
+        unit="m/s^2",
+        low=0.0,
+    )
+    rate_range: float = parameter(
+        0.0, "As acceleration_range, of the angular rate.", unit="rad/s", low=0.0
+    )
+    frozen_samples: int = parameter(
+        100,
+        "A channel with this many exactly equal samples in a row is frozen: it is taken for one "
+        "that feels gravity only, or no turn, and the motion that it does not see is added as in a "
+        "gap; 0 for never.",
+        low=0,
+        high=1_000_000,
     )
 
 
@@ -402,6 +432,20 @@ class ProcessNoiseParameters:
                 )
 
 
+#: A topic's name as ROS 2 takes it.
+_TOPIC = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+#: Topics of the filter that have another type, and its own output.
+_NO_INITIAL_TOPIC = (
+    "imu/data_raw",
+    "dvl/velocity",
+    "dvl/velocity_cov",
+    "process_noise",
+    "ground_truth/process_noise",
+    "gps/fix",
+    "odometry/filtered",
+)
+
+
 @dataclass(frozen=True)
 class InitialParameters:
     """The state at the start and its uncertainty."""
@@ -453,6 +497,13 @@ class InitialParameters:
     )
     gyroscope_bias_std: float = parameter(1e-5, "One sigma of each axis.", unit="rad/s", low=0.0)
     position_std: float = parameter(0.1, "One sigma of each axis.", unit="m", low=0.0)
+
+    def __post_init__(self) -> None:
+        if not _TOPIC.fullmatch(self.topic) or self.topic.lstrip("/") in _NO_INITIAL_TOPIC:
+            raise ParameterError(
+                "parameter 'initial.topic' must be a topic that is none of "
+                f"{', '.join(_NO_INITIAL_TOPIC)}, got {shown(self.topic)}"
+            )
 
 
 @dataclass(frozen=True)
@@ -556,6 +607,28 @@ class FilterParameters:
                     f"parameter 'jump_limit' must be at least {name} ({value:g} s), "
                     f"got {self.jump_limit!r}"
                 )
+        interval = 1.0 / self.imu.rate
+        if self.imu.max_gap <= interval:
+            raise ParameterError(
+                f"parameter 'imu.max_gap' must be longer than the interval of imu.rate "
+                f"({interval:g} s), got {self.imu.max_gap!r}: every sample would end a gap"
+            )
+        _check_frames(self.odom_frame, self.base_frame)
+        self._check_floors()
+
+    def _check_floors(self) -> None:
+        """A Q that is told is never below the floor; the nominal one, without it, must not be."""
+        noise = self.process_noise
+        if noise.source not in ("external", "message"):
+            return
+        for sensor in ("accelerometer", "gyroscope"):
+            floor = getattr(noise, f"{sensor}_floor")
+            nominal = min(getattr(noise, f"{sensor}_variance"))
+            if floor > nominal:
+                raise ParameterError(
+                    f"parameter 'process_noise.{sensor}_floor' must be at most {sensor}_variance "
+                    f"({nominal:g}) where the source is '{noise.source}', got {floor!r}"
+                )
 
 
 @dataclass(frozen=True)
@@ -658,6 +731,13 @@ class SimulatedNoiseParameters:
         "CSV file of the profile 'file': time from the start, then the variances of f_b x, y, z "
         "and w_ib_b x, y, z that hold from then on.",
     )
+
+    def __post_init__(self) -> None:
+        if (self.profile == "file") != bool(self.file):
+            raise ParameterError(
+                "parameter 'noise.file' must name a file if noise.profile is 'file', and only "
+                f"then; got {shown(self.file)} with noise.profile {self.profile!r}"
+            )
 
 
 @dataclass(frozen=True)
@@ -785,6 +865,9 @@ class SimulatorParameters:
     imu: SimulatedImuParameters = field(default_factory=SimulatedImuParameters)
     dvl: SimulatedDvlParameters = field(default_factory=SimulatedDvlParameters)
 
+    def __post_init__(self) -> None:
+        _check_frames(self.odom_frame, self.base_frame)
+
 
 @dataclass(frozen=True)
 class RelayParameters:
@@ -834,6 +917,9 @@ SECTIONS: Mapping[str, type[Any]] = MappingProxyType(
     }
 )
 
+#: Nodes that have no section, but may be given names of rclpy.
+_WITHOUT_PARAMETERS = ("insdvl_monitor",)
+
 #: Names that rclpy gives to every node; they are no parameters of ours.
 ROS_NAMES = ("qos_overrides", "use_sim_time", "start_type_description_service")
 
@@ -868,12 +954,19 @@ def load_section(path: Path, node: str, group: type[_Group], *, required: bool =
         raise ParameterError(
             f"{path} has no section '/**/{node}'; it has {beginning(', '.join(map(str, document)))}"
         )
+    nodes = (*SECTIONS, *_WITHOUT_PARAMETERS)
+    for name in names.values():
+        # A node may have been renamed, to insdvl_filter_2 for one.
+        if name.startswith("insdvl_") and not f"{name}_".startswith(tuple(f"{n}_" for n in nodes)):
+            raise ParameterError(f"{path}: no node is named {shown(name)}: {', '.join(nodes)}")
     for section, body in document.items():
         if names[section] != node:
             continue
         given = body.get("ros__parameters") if isinstance(body, dict) else None
-        if not isinstance(given, dict):
-            raise ParameterError(f"{path}: section {section!r} has no 'ros__parameters'")
+        if not isinstance(given, dict) or len(body) > 1:
+            raise ParameterError(
+                f"{path}: section {section!r} must have 'ros__parameters' and nothing else"
+            )
         for name, value in _full_names(given):
             if name in values and values[name] != value:
                 raise ParameterError(

@@ -45,6 +45,7 @@ FEWEST_WINDOWS = 5
 FIXES = 8  # DVL measurements that a window must have; the parabola takes 3
 SPACING_NS = WINDOW_NS // 100  # between those that are used
 PAUSE_NS = 5 * NS  # without any, that ends a window
+SMALLEST = 1e-3  # m/s, that must be left, root mean square: no DVL is better
 RATIO = 2.0  # of two sums of squares, of which the larger one is then refuted
 
 
@@ -246,7 +247,7 @@ class FrameCheck:
         basis, _ = np.linalg.qr(np.stack([np.ones_like(t), t, t * t], axis=1))
         values = np.array([value for _, value in self._fixes]).reshape(len(t), -1)
         left = values - basis @ (basis.T @ values)
-        self._sums.append((left**2).sum(axis=0).reshape(-1, 3).sum(axis=1))
+        self._sums.append((left**2).mean(axis=0).reshape(-1, 3).sum(axis=1))
 
     def findings(self) -> list[str]:
         """What cannot be, one sentence each; empty while nothing speaks against the axes."""
@@ -285,8 +286,8 @@ class FrameCheck:
     def _motion(self) -> list[str]:
         if len(self._sums) < FEWEST_WINDOWS:
             return []
-        sums = np.sum(self._sums, axis=0)
-        if sums[0] < RATIO * sums.min():
+        sums = np.mean(self._sums, axis=0)
+        if sums[0] < max(RATIO * sums.min(), SMALLEST**2):
             return []
         # What is not refuted by the best one. An axis about which nothing moves fits with either
         # sign: it is accused only where nothing less fits.

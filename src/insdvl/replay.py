@@ -536,6 +536,11 @@ def _replay(arguments: argparse.Namespace) -> None:
                     "process_noise.source is 'external', but the recording has no process noise "
                     "and the tuner is not enabled"
                 )
+            if 1.0 / tuner.rate > filter_.q_timeout:
+                raise ParameterError(
+                    f"parameter 'rate' of insdvl_tuner must be at least {1 / filter_.q_timeout:g} "
+                    f"Hz, got {tuner.rate!r}: q_timeout of insdvl_filter is {filter_.q_timeout:g} s"
+                )
             recording, q_from = learn(recording, tuner), f"external, learned by {tuner.model}"
     replayed = fold_recording(recording, filter_)
     if not replayed.initialised.size:

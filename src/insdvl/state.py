@@ -76,12 +76,21 @@ def state_type(n: int, window: int) -> np.dtype[np.void]:
             # Innovation and stamp of the last of them that was surely an error of the DVL
             ("fault", "f8", (3,)),
             ("fault_ns", "i8"),
+            # Channels of the IMU, in its axes, f x, y, z then w x, y, z: the last reading, how many
+            # samples have been exactly equal to it and the stamp of the first of them, and since
+            # when the channel does not show the motion (NEVER while it does)
+            ("reading", "f8", (6,)),
+            ("equal", "i8", (6,)),
+            ("equal_ns", "i8", (6,)),
+            ("unseen_ns", "i8", (6,)),
             # Levelling: sum of the specific force, number of samples, stamp of the first
             ("level_f", "f8", (3,)),
             ("level_count", "i8"),
             ("level_ns", "i8"),
             # Counters for diagnostics
             ("gaps", "i8"),
+            ("saturated", "i8"),  # samples
+            ("frozen", "i8"),  # samples
             ("q_timeouts", "i8"),
             ("floors", "i8"),
             ("ceilings", "i8"),
@@ -97,6 +106,8 @@ def state_type(n: int, window: int) -> np.dtype[np.void]:
 #: Counters in the state record, by their names in diagnostics.
 COUNTERS = (
     "gaps",
+    "saturated",
+    "frozen",
     "q_timeouts",
     "floors",
     "ceilings",
@@ -113,6 +124,7 @@ def empty_state(n: int, window: int) -> NDArray[np.void]:
     stamps = (
         *("time_ns", "imu_ns", "q_ns", "level_ns"),
         *("dvl_ns", "accepted_ns", "rejected_from_ns", "rejected_ns", "fault_ns"),
+        *("equal_ns", "unseen_ns"),
     )
     for name in stamps:
         states[name] = NEVER
@@ -139,6 +151,9 @@ def constants_type(n: int) -> np.dtype[np.void]:
             ("gap_ns", "i8"),
             ("gap_f", "f8"),  # unseen acceleration, one sigma
             ("gap_w", "f8"),
+            ("C_b_i", "f8", (3, 3)),  # IMU to base_link
+            ("range", "f8", (6,)),  # of the channels, inf where none is declared
+            ("frozen", "i8"),  # so many equal samples, in a row
             # DVL
             ("C_d_b", "f8", (3, 3)),  # base_link to DVL
             ("l_b", "f8", (3,)),  # from the IMU to the DVL, base_link axes, m
@@ -166,6 +181,11 @@ def workspace_type(n: int) -> np.dtype[np.void]:
             ("w_en_n", "f8", (3,)),
             ("w_in_n", "f8", (3,)),
             ("W_v", "f8", (3, 3)),  # d w_en / d v_n
+            # Density of the motion that the channels of the IMU do not see, in its axes, what of
+            # their turn is about the vertical and not told by the DVL, and which are frozen
+            ("unseen", "f8", (6,)),
+            ("unseen_heading", "f8", (6,)),
+            ("frozen", "i8", (6,)),
             # Error dynamics and discretisation
             ("F", "f8", (n, n)),
             ("Phi", "f8", (n, n)),

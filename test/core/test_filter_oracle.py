@@ -292,11 +292,12 @@ def test_a_million_steps(model, bias_model):
     w_ib_b = np.array([0.02, -0.01, 0.3]) + rng.normal(0.0, 0.03, (chunk, 3))
     state = filter_.start()
     states = np.empty(chunk, state.dtype)
-    filter_.await_start(state, Imu(0, f_b[0], w_ib_b[0]))
+    readings = np.hstack([f_b, w_ib_b])
+    filter_.await_start(state, Imu(0, f_b[0], w_ib_b[0]), readings[0])
     steps_ns = np.arange(1, chunk + 1) * 10_000_000
     for k in range(rounds):
         stamps_ns = k * 10 * NS + steps_ns
-        filter_.predict_samples(state, stamps_ns, f_b, w_ib_b, 0, chunk, states)
+        filter_.predict_samples(state, stamps_ns, f_b, w_ib_b, readings, 0, chunk, states)
         v_d = rng.normal((1.0, 0.0, 0.0), 0.05)
         filter_.update(state, Dvl(int(stamps_ns[-1]), v_d), w_ib_b[-25:].mean(axis=0), 25)
     s = state[0]

@@ -35,7 +35,9 @@ SETTINGS = FilterParameters(
     max_delay=MAX_DELAY,
     q_timeout=1.5,
     gate=GateParameters(max_rejection_time=0.4),
-    imu=ImuParameters(mount=(0.1, -0.2, 0.3), lever_arm=(0.2, 0.1, -0.1)),
+    imu=ImuParameters(
+        mount=(0.1, -0.2, 0.3), lever_arm=(0.2, 0.1, -0.1), rate_range=0.5, frozen_samples=10
+    ),
     dvl=DvlParameters(mount=(0.0, 0.0, 0.7), lever_arm=(0.5, 0.0, 0.3), bias_model="gauss_markov"),
     process_noise=ProcessNoiseParameters(source="external"),
     initial=InitialParameters(mode="set_odometry", velocity_std=0.05),
@@ -47,7 +49,8 @@ def mission(seconds: float, seed: int = SEED) -> list[Event]:
     """Everything that can happen, in the order of stamps.
 
     Pings and Q lie on samples and between them; a sample, a Q and a ping share some stamps; a gap,
-    outliers, single and in a row, pings that repeat, zeros, a Q that comes too seldom are in it.
+    channels that are frozen or saturated, outliers, single and in a row, pings that repeat, zeros,
+    and a Q that comes too seldom are there.
     """
     m = simulate(
         AUV,
@@ -70,7 +73,10 @@ def mission(seconds: float, seed: int = SEED) -> list[Event]:
     ]
     for k, stamp in enumerate(m.stamps_ns.tolist()):
         if not 230 <= k < 250:
-            events.append(Imu(stamp, m.f_b[k] @ C_b_i, m.w_ib_b[k] @ C_b_i))
+            f_b, w_ib_b = m.f_b[k] @ C_b_i, m.w_ib_b[k] @ C_b_i
+            if 400 <= k < 440:
+                f_b[1] = 0.1
+            events.append(Imu(stamp, f_b, w_ib_b))
     for k, stamp in enumerate(m.dvl_stamps_ns.tolist()):
         v_d = m.v_d[k] + {7: 5.0, 12: -2.0, 13: -2.0, 15: -40.0}.get(k, 0.0)
         stamp += 0 if k % 3 == 0 else 1_234_567 * k % STEP
@@ -134,6 +140,8 @@ def test_the_mission_has_what_can_go_wrong(expected: FoldResult) -> None:
     assert reasons == {"", "gate", "restarted", "repeated", "no_lock"}
     assert expected.counts["inflations"] >= 1
     assert expected.counts["gaps"] == 1
+    assert expected.counts["frozen"] == 31
+    assert expected.counts["saturated"] >= 5
     assert expected.counts["q_timeouts"] >= 1
     stamps = [
         {e.stamp_ns for e in EVENTS if isinstance(e, kind)} for kind in (Imu, Dvl, ProcessNoise)
@@ -342,7 +350,10 @@ def at(k: int, f: float = 0.0) -> Imu:
     return Imu(START + k * STEP, np.array([f, 0.0, -9.8]), np.array([0.0, 0.0, 0.01]))
 
 
-SIMPLE = FilterParameters(frame_convention="ned", max_delay=MAX_DELAY, q_timeout=0.5)
+EQUAL_SAMPLES = ImuParameters(frozen_samples=0)
+SIMPLE = FilterParameters(
+    frame_convention="ned", max_delay=MAX_DELAY, q_timeout=0.5, imu=EQUAL_SAMPLES
+)
 
 
 def simple(samples: int = 100, settings: FilterParameters = SIMPLE) -> Fold:
@@ -438,6 +449,21 @@ def test_a_run_says_what_it_did_not_use() -> None:
     )
     assert result.refused == {"duplicate": 1, "not_finite": 1}
     assert len(result.updates) == 1
+
+
+def test_a_run_uses_as_many_events_as_there_are() -> None:
+    """None of them has to wait: the samples are there."""
+    count = 3000
+    stamps = START + STEP * np.arange(count + 1)
+    told = [
+        ProcessNoise(int(t) + 1, (1 + k) * 1e-6 * np.eye(3), None) for k, t in enumerate(stamps)
+    ]
+    f_b = np.tile([0.0, 0.0, -9.8], (count + 1, 1))
+    settings = replace(SIMPLE, process_noise=ProcessNoiseParameters(source="external"))
+    result = run(settings, stamps, f_b, np.zeros((count + 1, 3)), list(told))
+    expected = 1e-6 * np.arange(1, count + 1)
+    np.testing.assert_allclose(result.states["Q_f"][1:, 0, 0], expected, rtol=1e-12)
+    assert not result.refused
 
 
 def test_an_output_delay_beyond_max_delay_is_a_contradiction() -> None:
@@ -564,6 +590,7 @@ def test_a_q_that_stops_coming_falls_back_and_comes_back() -> None:
 def modes(mode: str, **initial: object) -> FilterParameters:
     return FilterParameters(
         frame_convention="ned",
+        imu=EQUAL_SAMPLES,
         initial=InitialParameters(mode=mode, **initial),  # type: ignore[arg-type]
     )
 

@@ -4,7 +4,13 @@ import io
 
 import numpy as np
 import pytest
-from sklearn.ensemble import BaggingRegressor
+from sklearn.ensemble import (
+    BaggingRegressor,
+    ExtraTreesRegressor,
+    GradientBoostingRegressor,
+    RandomForestRegressor,
+)
+from sklearn.neighbors import KNeighborsRegressor
 from sklearn.tree import DecisionTreeRegressor
 
 from insdvl.training.ensemble import to_forest
@@ -106,6 +112,28 @@ def test_equals_scikit_learn_where_trees_see_some_of_the_columns_only():
     assert bits(to_forest(ensemble).predict(X)) == bits(ensemble.predict(X))
 
 
+@pytest.mark.parametrize("kind", [RandomForestRegressor, ExtraTreesRegressor])
+def test_equals_scikit_learn_for_its_other_ensembles_of_trees(kind):
+    rng = np.random.default_rng(9)
+    X, y = rng.standard_normal((300, 5)), rng.standard_normal(300)
+    ensemble = kind(n_estimators=13, min_samples_leaf=3, max_features=2, random_state=1).fit(X, y)
+    X = rng.standard_normal((500, 5))
+    assert bits(to_forest(ensemble).predict(X)) == bits(ensemble.predict(X))
+
+
+def test_what_is_no_mean_of_regression_trees_is_refused():
+    rng = np.random.default_rng(10)
+    X, y = rng.standard_normal((50, 3)), rng.standard_normal((50, 2))
+    for ensemble, message in (
+        (BaggingRegressor(KNeighborsRegressor()).fit(X, y[:, 0]), "got KNeighborsRegressor"),
+        (RandomForestRegressor(3).fit(X, y), "must have one answer, got 2"),
+        (GradientBoostingRegressor(n_estimators=3).fit(X, y[:, 0]), "must be a mean of trees"),
+        (DecisionTreeRegressor().fit(X, y[:, 0]), "must be a mean of trees"),
+    ):
+        with pytest.raises(ForestError, match=message):
+            to_forest(ensemble)
+
+
 def test_a_tree_without_a_split():
     X, y = np.zeros((10, 3)), np.full(10, 0.1)
     ensemble = BaggingRegressor(DecisionTreeRegressor(), n_estimators=3, random_state=0).fit(X, y)
@@ -142,7 +170,8 @@ def saved(arrays: dict[str, np.ndarray]) -> bytes:
 
 def test_a_file_gives_the_same_forest(forest):
     X = np.random.default_rng(4).standard_normal((50, 5))
-    loaded = Forest.load(saved(forest.arrays))
+    loaded = Forest.load(forest.save())
+    assert loaded.save() == forest.save()
     assert loaded.n_trees == 30 and loaded.n_features == 5
     assert bits(loaded.predict(X)) == bits(forest.predict(X))
 

@@ -391,7 +391,10 @@ def test_a_file_of_parameters_as_large_as_allowed_is_read(tmp_path: Path) -> Non
     [
         ("{max_delay: " + "[1.0, " * 40 + "]" * 40 + "}", "'max_delay' must be a float"),
         ("{max_delay: [" + "1.0, " * 9999 + "]}", r"\(\d+ characters\)"),
-        ("{gate: {max_rejections: 0x" + "f" * 5000 + "}}", "64 bits, got an int too large"),
+        (
+            "{process_noise: {adaptive_window: 0x" + "f" * 5000 + "}}",
+            "64 bits, got an int too large",
+        ),
         ('{odom_frame: "a\\0b"}', "'odom_frame' must have no NUL"),
         ("{max_delay: 1.0e+999}", "'max_delay' must be .* got inf"),
         ("{max_delay: 2001-01-01}", r"'max_delay' must be a float, got datetime"),

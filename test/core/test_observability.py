@@ -17,6 +17,7 @@ from insdvl.parameters import (
     DvlParameters,
     FilterParameters,
     GateParameters,
+    ImuParameters,
     InitialParameters,
     OriginParameters,
     ProcessNoiseParameters,
@@ -49,6 +50,7 @@ def fly(
     settings = FilterParameters(
         frame_convention="ned",
         error_state=error_state,
+        imu=ImuParameters(frozen_samples=0),  # perfect readings may be equal
         gate=GateParameters(enabled=False),
         origin=OriginParameters(height=float(trajectory.h_0)),
         **groups,

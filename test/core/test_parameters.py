@@ -13,7 +13,9 @@ from insdvl.parameters import (
     SECTIONS,
     FilterParameters,
     ParameterError,
+    RelayParameters,
     ReplayParameters,
+    SimulatorParameters,
     TunerParameters,
     build,
     declarations,
@@ -75,9 +77,62 @@ def test_a_wrong_value_is_named_with_what_is_allowed(name: str, value: Any, expe
         build(Group, {name: value})
 
 
-def test_a_contradiction_is_refused() -> None:
-    with pytest.raises(ParameterError, match="'output_delay' must be at most max_delay"):
-        build(FilterParameters, {"output_delay": 3.0, "max_delay": 2.0})
+CONTRADICTIONS = [
+    (FilterParameters, {"output_delay": 3.0, "max_delay": 2.0}, "'output_delay' must be at most"),
+    (
+        FilterParameters,
+        {"jump_limit": 1.5, "max_delay": 2.0},
+        "'jump_limit' must be at least max_d",
+    ),
+    (FilterParameters, {"jump_limit": 2.0, "imu.max_gap": 3.0}, "must be at least imu.max_gap"),
+    (FilterParameters, {"imu.rate": 10.0}, r"'imu.max_gap' must be longer than .* \(0.1 s\)"),
+    (FilterParameters, {"imu.max_gap": 0.01}, "'imu.max_gap' must be longer than the interval"),
+    (FilterParameters, {"odom_frame": ""}, "'odom_frame' must not be empty"),
+    (FilterParameters, {"base_frame": ""}, "'base_frame' must not be empty"),
+    (FilterParameters, {"base_frame": "odom"}, "'base_frame' must be another one than odom_frame"),
+    (FilterParameters, {"initial.topic": ""}, "'initial.topic' must be a topic"),
+    (FilterParameters, {"initial.topic": "a b"}, "'initial.topic' must be a topic"),
+    (FilterParameters, {"initial.topic": "imu/data_raw"}, "none of imu/data_raw"),
+    (FilterParameters, {"initial.topic": "/odometry/filtered"}, "got '/odometry/filtered'"),
+    (
+        FilterParameters,
+        {"process_noise.source": "external", "process_noise.accelerometer_floor": 0.011},
+        r"'process_noise.accelerometer_floor' must be at most accelerometer_variance \(0.01\)",
+    ),
+    (
+        FilterParameters,
+        {
+            "process_noise.source": "message",
+            "process_noise.gyroscope_floor": 1e-4,
+            "process_noise.gyroscope_variance": [1e-3, 1e-5, 1e-3],
+        },
+        r"'process_noise.gyroscope_floor' must be at most gyroscope_variance \(1e-05\)",
+    ),
+    (SimulatorParameters, {"base_frame": "odom"}, "'base_frame' must be another one"),
+    (SimulatorParameters, {"noise.profile": "file"}, "'noise.file' must name a file if"),
+    (SimulatorParameters, {"noise.file": "a.csv"}, "and only then; got 'a.csv'"),
+    (SimulatorParameters, {"dvl.outages": [1.0, 2.0, 3.0]}, "'dvl.outages' must be pairs"),
+    (SimulatorParameters, {"dvl.outages": [2.0, 1.0]}, "'dvl.outages' must be pairs"),
+    (RelayParameters, {"prefix": ""}, "'prefix' must not be empty"),
+]
+
+
+@pytest.mark.parametrize(("group", "values", "expected"), CONTRADICTIONS)
+def test_a_contradiction_is_refused(group: Any, values: dict[str, Any], expected: str) -> None:
+    with pytest.raises(ParameterError, match=expected):
+        build(group, values)
+
+
+def test_what_only_seems_to_contradict_is_taken() -> None:
+    told = {"process_noise.source": "external", "process_noise.accelerometer_floor": 0.01}
+    for values in (
+        told,
+        {"process_noise.accelerometer_floor": 1.0},  # nothing is told, and no floor holds
+        {"imu.rate": 5.0, "imu.max_gap": 0.5},
+        {"output_delay": 2.0},
+        {"initial.topic": "/auv/odometry"},
+    ):
+        build(FilterParameters, values)
 
 
 @pytest.mark.parametrize("node", SECTIONS)
@@ -113,6 +168,10 @@ def test_a_section_gives_its_node_its_values(tmp_path: Path) -> None:
   ros__parameters: {bag: here}
 /**/other_node:
   ros__parameters: {anything: 1}
+/**/insdvl_filter_2:
+  ros__parameters: {max_delay: 4.0}
+/**/insdvl_monitor:
+  ros__parameters: {use_sim_time: true}
 """,
     )
     filter_ = load_section(path, "insdvl_filter", FilterParameters, required=True)
@@ -129,8 +188,14 @@ def test_a_section_gives_its_node_its_values(tmp_path: Path) -> None:
         ("[1, 2", "cannot read the parameter file"),
         ("", "it has no sections"),
         ("- 1", "it has no sections"),
-        ("/**/insdvl_filter: 5", "has no 'ros__parameters'"),
-        ("/**/insdvl_filter: {parameters: {}}", "has no 'ros__parameters'"),
+        ("/**/insdvl_filter: 5", "must have 'ros__parameters'"),
+        ("/**/insdvl_filter: {parameters: {}}", "must have 'ros__parameters'"),
+        ("/**/insdvl_filter: {ros__parameters: {}, imu: {}}", "'ros__parameters' and nothing else"),
+        ("/**/insdvl_filtr: {ros__parameters: {}}", "no section '/\\*\\*/insdvl_filter'"),
+        (
+            "{/**/insdvl_filter: {ros__parameters: {}}, /**/insdvl_tunner: {ros__parameters: {}}}",
+            "no node is named 'insdvl_tunner': insdvl_filter, insdvl_tuner",
+        ),
         ("/**: {ros__parameters: {}}", r"no section '/\*\*/insdvl_filter'; it has /\*\*"),
         ("/a/insdvl_filter: {ros__parameters: {max_dealy: 1.0}}", "unknown parameter 'max_dealy'"),
         ("/a/insdvl_filter: {ros__parameters: {dvl: {bias: 1.0}}}", "unknown .* 'dvl.bias'"),

@@ -15,7 +15,7 @@ from insdvl.plausibility import FrameCheck
 from insdvl.replay import fold_recording, report
 from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.mission import ImuModel, Mission, simulate
-from insdvl.simulation.noise import SCENARIOS
+from insdvl.simulation.noise import SCENARIOS, constant
 from insdvl.simulation.trajectories import AUV, BASELINE, LOOP, STATIC
 
 Array = NDArray[np.float64]
@@ -197,6 +197,20 @@ def test_errors_of_the_sensors_are_no_wrong_axes() -> None:
         watch.add(event)
         assert not watch.findings()
     assert 8 <= len(watch._sums) <= 12
+
+
+def test_sensors_without_any_noise_are_not_accused_of_rounding() -> None:
+    perfect = ImuModel(100.0, 0.0, 0.0, 0.0, 0.0)
+    for trajectory in (STATIC, AUV):
+        mission = simulate(
+            trajectory,
+            constant([0.0] * 6),
+            seed=8,
+            duration=125.0,
+            imu=perfect,
+            dvl=DvlModel(noise_std=np.zeros(3)),
+        )
+        assert not check(events(mission))
 
 
 def test_what_does_not_move_tells_nothing_of_a_reversed_axis() -> None:

@@ -40,7 +40,7 @@ def parameters(*, bias_std: float = 0.0, **noise: object) -> FilterParameters:
     return FilterParameters(
         frame_convention="ned",
         earth_rate=False,
-        imu=ImuParameters(mount=MOUNT),
+        imu=ImuParameters(mount=MOUNT, frozen_samples=0),  # all samples are equal
         gate=GateParameters(enabled=False),
         process_noise=ProcessNoiseParameters(**(values | noise)),
         initial=InitialParameters(

@@ -465,6 +465,10 @@ BAD_INPUT = {
         with_config(source("external") + "/**/insdvl_tuner: {ros__parameters: {enabled: false}}"),
         "the tuner is not enabled",
     ),
+    "a tuner that tells less often than the filter forgets": (
+        with_config(source("external") + "/**/insdvl_tuner: {ros__parameters: {rate: 0.1}}"),
+        "'rate' of insdvl_tuner must be at least 0.2 Hz, got 0.1: q_timeout of insdvl_filter is 5",
+    ),
     "limits that are no numbers": (with_option("--inject-noise", "1,2,3,x"), "got '1,2,3,x'"),
     "limits the wrong way round": (with_option("--inject-noise", "2,1,1,2"), "0 < LO <= HI"),
     "a limit of zero": (with_option("--inject-noise", "0,1,1,2"), "0 < LO <= HI"),

@@ -242,7 +242,15 @@ def test_noise_file_by_parameter(tmp_path):
     ("values", "message"),
     [
         ({"duration": 500.0}, r"parameter 'duration': duration must be within"),
-        ({"noise.profile": "file"}, r"parameter 'noise\.file': cannot read the noise profile"),
+        (
+            {"trajectory": "loop", "duration": 3600.0, "imu.rate": 2000.0},
+            r"parameter 'duration' must be at most 2500 s at imu\.rate 2000 Hz, got 3600\.0",
+        ),
+        ({"trajectory": "loop", "imu.rate": 2000.0}, r"'duration' must be .* got 3600\.0"),
+        (
+            {"noise.profile": "file", "noise.file": "absent"},
+            r"parameter 'noise\.file': cannot read the noise profile",
+        ),
         ({"noise.profile": "pink"}, r"parameter 'noise\.profile' must be one of constant"),
         ({"dvl.outages": [1.0, 2.0, 3.0]}, r"'dvl\.outages' must be pairs .* got \[1\.0, 2\.0, 3"),
         ({"dvl.outages": [2.0, 1.0]}, r"'dvl\.outages' must be pairs .* got \[2\.0, 1\.0\]"),

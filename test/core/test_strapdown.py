@@ -13,7 +13,12 @@ from scipy.spatial.transform import Rotation
 from insdvl.events import NS
 from insdvl.filter import Filter
 from insdvl.fold import run
-from insdvl.parameters import FilterParameters, InitialParameters, OriginParameters
+from insdvl.parameters import (
+    FilterParameters,
+    ImuParameters,
+    InitialParameters,
+    OriginParameters,
+)
 from insdvl.simulation.imu import ideal_imu
 from insdvl.simulation.trajectories import AUV, LOOP, STATIC, Channel, Ramp, Trajectory, Wave
 
@@ -28,10 +33,14 @@ VIGOROUS = Trajectory(
 )
 
 
+EQUAL_SAMPLES = ImuParameters(frozen_samples=0)
+
+
 def filter_on(trajectory):
     return Filter(
         FilterParameters(
             frame_convention="ned",
+            imu=EQUAL_SAMPLES,
             origin=OriginParameters(
                 latitude_deg=float(np.degrees(trajectory.lat_0)),
                 longitude_deg=float(np.degrees(trajectory.lon_0)),
@@ -52,7 +61,8 @@ def navigate(filter_, C_n_b, v_n, f_b, w_ib_b, dt, visit, chunk=1000):
     for first in range(0, len(f_b), chunk):
         part = slice(first, first + chunk)
         count = len(f_b[part])
-        filter_.predict_samples(state, stamps_ns[part], f_b[part], w_ib_b[part], 0, count, states)
+        samples = f_b[part], w_ib_b[part], np.hstack([f_b[part], w_ib_b[part]])
+        filter_.predict_samples(state, stamps_ns[part], *samples, 0, count, states)
         visit(first, states[:count])
 
 
@@ -140,7 +150,8 @@ def test_errors_fall_with_the_square_of_the_step():
 
 def test_constant_rates_are_integrated_exactly_in_the_body():
     """Without Earth rate and over one long step: attitude and velocity of a helix, to rounding."""
-    filter_ = Filter(FilterParameters(frame_convention="ned", earth_rate=False))
+    settings = FilterParameters(frame_convention="ned", earth_rate=False, imu=EQUAL_SAMPLES)
+    filter_ = Filter(settings)
     f_b, w_ib_b, dt = np.array([1.0, -2.0, -9.0]), np.array([0.3, -0.2, 1.1]), 0.05
     C_n_b = Rotation.from_euler("ZYX", [1.0, 0.2, -0.3]).as_matrix()
     v_n, kept = np.array([1.0, 2.0, 3.0]), []

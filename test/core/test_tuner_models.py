@@ -1,6 +1,7 @@
 """Models and their cards: what ships, and what is refused with which words."""
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -11,7 +12,7 @@ import pytest
 
 from insdvl.tuner import models
 from insdvl.tuner.features import FEATURE_NAMES, features
-from insdvl.tuner.models import KINDS, ModelError, load_model, sha256
+from insdvl.tuner.models import KINDS, ModelError, load_model, sha256, write_model
 from insdvl.tuner.schemas import SCHEMAS
 
 
@@ -199,6 +200,54 @@ def test_the_bytes_that_are_hashed_are_the_bytes_that_are_used(model, monkeypatc
 
     monkeypatch.setattr(models, "sha256", exchange)
     assert load_model(str(model)).regressor.n_trees == 30
+
+
+PAGE = Path(__file__).parents[2] / "docs" / "tuner.md"
+
+
+def test_the_documented_lines_make_a_model_of_ones_own(tmp_path, monkeypatch):
+    (lines,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    exec(lines, names)
+    mine = load_model("models/mine.npz")
+    assert sorted(file.name for file in Path("models").iterdir()) == ["mine.json", "mine.npz"]
+    X, scale = names["X"], names["scale"]
+    expected = scale * np.exp(names["ensemble"].predict(X))
+    found = mine.variances(names["windows"])
+    np.testing.assert_array_equal(found, expected)
+    assert np.sqrt(np.mean((found / names["q"] - 1.0) ** 2)) < 0.12
+
+
+def test_a_model_is_written_whole_or_not_at_all(model, monkeypatch):
+    card = json.loads(model.with_suffix(".json").read_text())
+    folder, data = model.parent, model.read_bytes()
+    before = {file.name: file.read_bytes() for file in folder.iterdir()}
+    for change, message in (
+        ({"kind": "table"}, "kind 'table' is unknown"),
+        ({"window": 1}, "window must be >= 3"),
+        ({"features": ["mean"]}, "features are not those of the schema"),
+        ({"feature_schema": "window", "features": []}, "has 24 features"),
+        ({"name": "../paper"}, "must be that of a file, got '../paper'"),
+        ({"name": None}, "name must be of type str"),
+    ):
+        with pytest.raises(ModelError, match=message):
+            write_model(folder, data, {**card, **change})
+    with pytest.raises(ModelError, match="no archive of arrays"):
+        write_model(folder, b"nothing", card)
+
+    calls = []
+
+    def full(path, content):
+        calls.append(path)
+        if len(calls) == 2:
+            raise OSError(28, "No space left on device")
+        path.write_bytes(content)
+
+    monkeypatch.setattr(models, "write", full)
+    with pytest.raises(OSError, match="No space left"):
+        write_model(folder, data, card)
+    assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
 
 
 def test_prediction_needs_no_scikit_learn():

@@ -19,6 +19,10 @@ from insdvl.simulation.trajectories import Trajectory, Truth, trajectory_named
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
+#: Samples of a mission: 13 hours at 100 Hz. All of them are made before the first is sent, and take
+#: half a kilobyte each.
+MAX_SAMPLES = 5_000_000
+
 
 @dataclass(frozen=True)
 class ImuModel:
@@ -205,13 +209,19 @@ def mission_of(parameters: SimulatorParameters) -> Mission:
         outlier_probability=dvl.outlier_probability,
         outlier_size=dvl.outlier_size,
     )
+    duration = parameters.duration or trajectory.duration
+    if duration * imu.rate > MAX_SAMPLES:
+        raise ParameterError(
+            f"parameter 'duration' must be at most {MAX_SAMPLES / imu.rate:g} s at imu.rate "
+            f"{imu.rate:g} Hz, got {duration!r}: a mission has at most {MAX_SAMPLES} samples"
+        )
     noise = _noise(parameters)
     try:
         return simulate(
             trajectory,
             noise,
             seed=parameters.seed,
-            duration=parameters.duration or trajectory.duration,
+            duration=duration,
             imu=ImuModel(
                 rate=imu.rate,
                 accelerometer_bias_std=imu.accelerometer_bias_std,

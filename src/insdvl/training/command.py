@@ -1,21 +1,17 @@
 """The command `insdvl train`: data set -> model and card."""
 
 import argparse
-import json
-import os
 import sys
 import tempfile
-from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 from insdvl import parallel
 from insdvl.parallel import Store, TaskError, Workers, WorkersError
 from insdvl.training import dataset
-from insdvl.tuner.models import KINDS, sha256
+from insdvl.tuner.models import write_model
 
 MIN_WINDOW, MAX_WINDOW = 10, 2000
 
@@ -94,7 +90,7 @@ def run(arguments: argparse.Namespace) -> int:
                 {"preset": preset, "window": window, "seed": arguments.seed},
             )
             data, card = module.train(preset, window, arguments.seed, pool, store, print)
-            written = write(out, data, {"name": name, **card})
+            written = write_model(out, data, {"name": name, **card})
             store.clear()
     except (WorkersError, OSError) as error:
         print(f"insdvl train: {error}", file=sys.stderr)
@@ -134,17 +130,3 @@ def _checked(arguments: argparse.Namespace) -> Workers:
     except OSError as error:
         raise ValueError(f"--out {arguments.out}: {error.strerror or error}") from error
     return workers
-
-
-def write(out: Path, data: bytes, card: Mapping[str, Any]) -> tuple[Path, Path]:
-    """The files of a model: both are complete before either takes its name."""
-    text = json.dumps({**card, "sha256": sha256(data)}, indent=2) + "\n"
-    out.mkdir(parents=True, exist_ok=True)
-    name = card["name"]
-    targets = out / f"{name}{KINDS[card['kind']].suffix}", out / f"{name}.json"
-    with tempfile.TemporaryDirectory(dir=out, prefix=".train-") as folder:
-        for target, content in zip(targets, (data, text.encode()), strict=True):
-            (Path(folder) / target.name).write_bytes(content)
-        for target in targets:
-            os.replace(Path(folder) / target.name, target)
-    return targets

@@ -3,7 +3,6 @@
 30 bagged trees. "Minimum of 8 leaves" is read as a minimum leaf size of 8 in the preset `paper`.
 """
 
-import io
 from collections.abc import Callable
 from typing import Any
 
@@ -12,14 +11,14 @@ import numpy as np
 import scipy
 import sklearn
 from numpy.typing import NDArray
-from sklearn.ensemble import BaggingRegressor
+from sklearn.ensemble import BaggingRegressor, ExtraTreesRegressor, RandomForestRegressor
 from sklearn.tree import DecisionTreeRegressor
 
 from insdvl.parallel import Pool, Result, Store
 from insdvl.training import dataset, procedure
 from insdvl.training.dataset import Indices, Recipe
 from insdvl.training.procedure import Method
-from insdvl.tuner.forest import LEAF, Forest
+from insdvl.tuner.forest import LEAF, Forest, ForestError
 
 Array = NDArray[np.float64]
 
@@ -47,12 +46,31 @@ def fit(X: Array, y: Array, min_samples_leaf: int, seed: int) -> BaggingRegresso
     return ensemble.fit(X, y)
 
 
-def to_forest(ensemble: BaggingRegressor) -> Forest:
-    """The same trees as flat arrays."""
+def to_forest(
+    ensemble: BaggingRegressor | RandomForestRegressor | ExtraTreesRegressor,
+) -> Forest:
+    """The trees of a fitted ensemble as flat arrays, with the same answers to the bit.
+
+    Args:
+        ensemble: A BaggingRegressor of DecisionTreeRegressors, a RandomForestRegressor or an
+            ExtraTreesRegressor, of one answer.
+
+    Raises:
+        ForestError: It is of something else than regression trees, or of several answers.
+    """
+    if not isinstance(ensemble, BaggingRegressor | RandomForestRegressor | ExtraTreesRegressor):
+        raise ForestError(f"the ensemble must be a mean of trees, got {ensemble!r}")
+    trees = ensemble.estimators_
+    everything = np.arange(ensemble.n_features_in_)
+    subsets = getattr(ensemble, "estimators_features_", [everything] * len(trees))
     features, thresholds, values, roots = [], [], [], []
     n_nodes = 0
-    for estimator, columns in zip(ensemble.estimators_, ensemble.estimators_features_, strict=True):
+    for estimator, columns in zip(trees, subsets, strict=True):
+        if not isinstance(estimator, DecisionTreeRegressor):
+            raise ForestError(f"the ensemble must be of regression trees, got {estimator!r}")
         tree = estimator.tree_
+        if tree.n_outputs != 1:
+            raise ForestError(f"the trees must have one answer, got {tree.n_outputs}")
         order = _preorder(tree.children_left, tree.children_right)
         leaf = tree.children_left[order] == LEAF
         feature = np.full(order.size, LEAF)
@@ -129,11 +147,7 @@ def train(
     fitted, card = procedure.train(
         method, Recipe(preset, seed, window, n_windows), pool, store, say
     )
-    # Not compressed, so that the bytes, and the hash, do not depend on a compressor's version.
-    buffer = io.BytesIO()
-    arrays: dict[str, Any] = dict(fitted)
-    np.savez(buffer, **arrays)
-    return buffer.getvalue(), card
+    return Forest(fitted).save(), card
 
 
 def _fit(shared: tuple[Array, Array, int, int], training: Indices) -> Result:

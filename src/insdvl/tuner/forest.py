@@ -24,6 +24,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from insdvl.files import archive
 from insdvl.files import arrays as arrays_of
 from insdvl.kernels import kernel
 
@@ -121,6 +122,10 @@ class Forest:
             raise
         except ValueError as error:
             raise ForestError(str(error)) from error
+
+    def save(self) -> bytes:
+        """The bytes of an ``.npz`` file; equal forests give equal bytes."""
+        return archive(self.arrays)
 
     def predict(self, X: Array) -> Array:
         """Mean answer of the trees for each row.

@@ -7,6 +7,8 @@ is not the one of its card is refused; nothing in either file can run code.
 
 import hashlib
 import json
+import os
+import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.resources import files
@@ -17,7 +19,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl.files import read, shown
+from insdvl.files import read, shown, write
 from insdvl.tuner import forest, network
 from insdvl.tuner.forest import Forest
 from insdvl.tuner.network import Network
@@ -122,6 +124,38 @@ def sha256(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
+def write_model(folder: Path, data: bytes, card: Mapping[str, Any]) -> tuple[Path, Path]:
+    """Write the two files of a model; both are complete before either takes its name.
+
+    Args:
+        folder: Is made if it is not there.
+        data: The file of the numbers, as `Forest.save` makes it.
+        card: At least what CARD_FIELDS has, but for ``sha256``, which is added here.
+
+    Returns:
+        Paths of the numbers, which the tuner's parameter ``model`` takes, and of the card.
+
+    Raises:
+        ModelError: The card is not complete, or does not go with the numbers.
+        OSError: The files cannot be written.
+    """
+    card = {**card, "sha256": sha256(data)}
+    description = folder / f"{card.get('name')}.json"
+    _check_card(card, description)
+    if Path(card["name"]).name != card["name"]:
+        raise ModelError(f"the model's name must be that of a file, got {shown(card['name'])}")
+    numbers = folder / f"{card['name']}{KINDS[card['kind']].suffix}"
+    _assembled(card, description, data, numbers)
+    folder.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(card, indent=2) + "\n"
+    with tempfile.TemporaryDirectory(dir=folder, prefix=".model-") as temporary:
+        for target, content in (numbers, data), (description, text.encode()):
+            write(Path(temporary) / target.name, content)
+        for target in numbers, description:
+            os.replace(Path(temporary) / target.name, target)
+    return numbers, description
+
+
 def load_model(name_or_path: str) -> Model:
     """A model that ships with insdvl, by its name, or another by the path of its file.
 
@@ -144,10 +178,16 @@ def load_model(name_or_path: str) -> Model:
     except OSError as error:
         reason = error.strerror or error
         raise ModelError(f"cannot read the model {file}: {reason}; {expected}") from error
+    return _assembled(card, card_file, data, file)
+
+
+def _assembled(card: Mapping[str, Any], card_file: Path, data: bytes, file: Path) -> Model:
+    """The model of a card and its numbers, when they go with each other."""
+    expected = f"{card_file} expects SHA-256 {card['sha256']}"
     if sha256(data) != card["sha256"]:
         raise ModelError(f"the model {file} was altered: its SHA-256 is {sha256(data)}; {expected}")
     try:
-        regressor = kind.load(data)
+        regressor = KINDS[card["kind"]].load(data)
     except ValueError as error:
         raise ModelError(f"the model {file} is not usable: {error}; {expected}") from error
     schema = _schema(card, card_file)
@@ -170,6 +210,11 @@ def _card(file: Path) -> dict[str, Any]:
         raise ModelError(f"the model's card {file} is no JSON: {error}") from error
     if not isinstance(card, dict):
         raise ModelError(f"the model's card {file} is no JSON object")
+    _check_card(card, file)
+    return card
+
+
+def _check_card(card: Mapping[str, Any], file: Path) -> None:
     for name, kind in CARD_FIELDS.items():
         if type(card.get(name)) is not kind:
             raise ModelError(
@@ -181,7 +226,6 @@ def _card(file: Path) -> dict[str, Any]:
             f"the model's card {file}: kind {shown(card['kind'])} is unknown, known are "
             f"{', '.join(KINDS)}"
         )
-    return card
 
 
 def _schema(card: Mapping[str, Any], file: Path) -> Schema:
