@@ -163,10 +163,9 @@ class FilterNode(InsdvlNode[FilterParameters]):
         self._odometry.send(self._odometry_message)
         self._watch.published(output, self.get_clock().now().nanoseconds)
         second = output.stamp_ns // NS
-        if second != self._bias_second:
+        state = self._fold.latest  # none where the output is the last of a time that was left
+        if second != self._bias_second and state is not None:
             self._bias_second = second
-            state = self._fold.latest
-            assert state is not None  # there is an output, so it is initialised
             fill_bias(self._bias_message, biases(self._fold.filter, state))
             self._bias.send(self._bias_message)
 

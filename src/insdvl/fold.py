@@ -193,6 +193,7 @@ class Fold:
             self._start[name] = 0
         stamp_ns = int(record[0]["imu_ns"])
         self._stamps[0], self._f_b[0], self._w_ib_b[0] = stamp_ns, 0.0, 0.0
+        self._readings[0] = record[0]["reading"]
         self._states[0] = self._start[0]
         self._count = self._stale = 1
         self._published_ns = self._resumed_ns = stamp_ns

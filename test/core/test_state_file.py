@@ -29,7 +29,14 @@ from insdvl.state import COUNTERS
 from insdvl.state_file import StateFile, StateFileError, decode, encode, load
 
 START_NS = 1_700_000_000 * NS
-PARAMETERS = build(FilterParameters, {"origin.height": -5.0, "initial.velocity": [1.0, 0.0, 0.0]})
+PARAMETERS = build(
+    FilterParameters,
+    {
+        "origin.height": -5.0,
+        "initial.velocity": [1.0, 0.0, 0.0],
+        "imu.frozen_samples": 0,  # samples at rest are all equal
+    },
+)
 
 
 def rest(fold: Fold, first: int, last: int) -> list[str | None]:

@@ -170,7 +170,7 @@ def test_one_rejection_by_the_gate_is_chance_and_two_are_told() -> None:
 
 
 def test_a_dvl_outage_is_told_with_its_length_and_sigma_and_ends() -> None:
-    f = Filter(**{"imu.rate": 10.0, "imu.max_gap": 0.2})
+    f = Filter(**{"imu.rate": 10.0, "imu.max_gap": 0.2, "imu.frozen_samples": 0})
 
     def at(k: int) -> int:
         return START_NS + k * NS // 10

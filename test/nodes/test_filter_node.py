@@ -641,6 +641,22 @@ def test_a_full_disk_does_not_stop_the_filter(
     assert len(g.odometry()) == 70
 
 
+def test_a_time_that_is_left_is_published_to_its_end(graph: Any) -> None:
+    """The output is held back; then the clock is set, and no state is told in the new time."""
+    g = graph(**{"initial.mode": "set_odometry", "output_delay": 1.0})
+    old = imu_run(1, 31)
+    g.send(("set_odometry", odometry_message(START_NS + STEP_NS)), *old)
+    assert g.odometry() == []
+    hour = 3600 * NS // STEP_NS
+    new = imu_run(hour, hour + 30)
+    g.send(*new)
+    assert [stamp_of(m) for m in g.odometry()] == [stamp_of(m) for _, m in old]
+    g.send(
+        ("set_odometry", odometry_message(stamp_of(new[-1][1]))), *imu_run(hour + 30, hour + 140)
+    )
+    assert stamp_of(g.odometry()[-1]) == START_NS + (hour + 39) * STEP_NS
+
+
 def test_sensors_may_be_best_effort_and_noise_volatile(graph: Any) -> None:
     g = graph(
         **{
