@@ -75,7 +75,9 @@ def peer(tmp_path: Path) -> Iterator[Peer]:
 def imu_message(k: int) -> Imu:
     message = Imu()
     message.header.stamp = time_of(START_NS + k * NS // 100)
-    set_vector(message.linear_acceleration, (0.0, 0.0, 9.8))
+    noise = k % 2 * 1e-7  # no channel is frozen
+    set_vector(message.linear_acceleration, (noise, noise, 9.8 + noise))
+    set_vector(message.angular_velocity, (noise, noise, noise))
     return message
 
 
