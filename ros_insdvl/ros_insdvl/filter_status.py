@@ -27,6 +27,9 @@ RATE_TOLERANCE = 0.05
 #: Rejections by the gate that are no chance any more.
 GATE_REJECTIONS = 2
 
+#: Parameters that decide which channels are not believed.
+_DECLARED = {"saturated": "acceleration_range and imu.rate_range", "frozen": "frozen_samples"}
+
 IMU = "imu/data_raw"
 DVL = ("dvl/velocity", "dvl/velocity_cov")
 #: Where the updates are counted that were not made.
@@ -173,6 +176,15 @@ class FilterWatch:
                 f"{count} gaps of more than {imu.max_gap:g} s in the last {RECENT:.0f} s: samples "
                 "are lost, look at the driver and the network; sigma grows by what was not seen",
             )
+        for name in ("saturated", "frozen"):
+            if count := view.recent[name]:
+                status.complain(
+                    WARN,
+                    name,
+                    f"{count} samples had a {name} channel in the last {RECENT:.0f} s, which is "
+                    f"not believed: look at the IMU, or at imu.{_DECLARED[name]}; sigma grows by "
+                    "what is not seen",
+                )
         view.show(status, IMU)
         if len(self._imu_stamps) >= 10:
             steps = np.diff(np.sort(np.array(self._imu_stamps)))
@@ -186,7 +198,7 @@ class FilterWatch:
                     f"imu.rate is {imu.rate:g} Hz, the stamps say {rate:.1f} Hz: set imu.rate, "
                     "which scales the process noise",
                 )
-        self._show_counters(status, "gaps")
+        self._show_counters(status, "gaps", "saturated", "frozen")
         return status
 
     def _dvl(self, view: View) -> Status:

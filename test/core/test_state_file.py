@@ -40,9 +40,12 @@ PARAMETERS = build(
 
 
 def rest(fold: Fold, first: int, last: int) -> list[str | None]:
-    """Samples of a vehicle at rest at 100 Hz, by number."""
-    f_b = np.array([0.0, 0.0, -9.8])
-    return [fold.add(Imu(START_NS + k * NS // 100, f_b, np.zeros(3))) for k in range(first, last)]
+    """Samples of a vehicle at rest at 100 Hz, by number; no channel is frozen."""
+    f_b, noise = np.array([0.0, 0.0, -9.8]), np.full(3, 1e-7)
+    return [
+        fold.add(Imu(START_NS + k * NS // 100, f_b + k % 2 * noise, k % 2 * noise))
+        for k in range(first, last)
+    ]
 
 
 def kept(fold: Fold) -> bytes:

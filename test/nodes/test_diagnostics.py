@@ -42,11 +42,13 @@ class Filter:
         self.recent = Recent()
         self.now = 0.0
         self.pings = 0
+        self.noise = 1e-7
 
     def samples(self, first: int, last: int, step_ns: int = NS // 100) -> None:
         for k in range(first, last):
             stamp = START_NS + k * step_ns
-            sample = Imu(stamp, np.array([0.0, 0.0, -9.8]), np.zeros(3))
+            noise = np.full(3, k % 2 * self.noise)
+            sample = Imu(stamp, np.array([0.0, 0.0, -9.8]) + noise, noise)
             if self.fold.add(sample) is None:
                 self.watch.took(sample)
         for output in self.fold.take():
@@ -206,6 +208,18 @@ def test_a_silent_imu_is_an_error_until_it_comes_back() -> None:
     assert "no imu/data_raw for 4 s" in statuses["imu"].message
     f.samples(21, 22)
     assert wrong(f.look()) == {}
+
+
+def test_channels_that_are_not_believed_are_told_until_they_move_again() -> None:
+    f = Filter()
+    f.noise = 0.0
+    f.samples(1, 121)
+    statuses = f.look()
+    assert wrong(statuses) == {"imu": WARN}
+    assert "samples had a frozen channel" in statuses["imu"].message
+    f.noise = 1e-7
+    f.samples(121, 130)
+    assert wrong(f.look(10.0)) == {}
 
 
 def test_an_output_that_stops_is_an_error() -> None:

@@ -254,8 +254,12 @@ def expected_numbers(output: Any) -> np.ndarray:
 
 
 def imu_run(first: int, last: int) -> list[tuple[str, Any]]:
-    """Samples of a vehicle at rest, by number."""
-    return [("imu/data_raw", imu_message(START_NS + k * STEP_NS)) for k in range(first, last)]
+    """Samples of a vehicle at rest, by number; no channel is frozen."""
+    force, noise = np.array([0.0, 0.0, 9.8]), np.full(3, 1e-7)
+    return [
+        ("imu/data_raw", imu_message(START_NS + k * STEP_NS, force + k % 2 * noise, k % 2 * noise))
+        for k in range(first, last)
+    ]
 
 
 def test_one_odometry_per_sample_with_frames_and_stamps(graph: Any) -> None:
