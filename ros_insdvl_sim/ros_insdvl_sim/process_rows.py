@@ -401,7 +401,9 @@ def tuner_floods(s: Sea) -> Outcome:
     told = s.witness.value("/insdvl_tuner", f"sent {Q}")
     taken = s.filter_value(f"received {Q}")
     outcome.expect(
-        "every Q arrives and is used", f"{taken} of {told}", told == taken and told > 5000
+        "those that arrive are used, and no sample is lost for them",
+        f"{taken} of {told} arrived",
+        0 < taken <= told and told > 5000,
     )
     s.judge(outcome, 5.0, DURATION - AFTER - 5.0, all_of=sent[IMU])
     return outcome
@@ -695,7 +697,7 @@ def reordered(s: Sea) -> Outcome:
 
 #: Group, whether the short form has it, and the row.
 ROWS: tuple[tuple[str, bool, Callable[[Sea], Outcome]], ...] = (
-    ("Processes", True, tuner_killed),
+    ("Processes", False, tuner_killed),
     ("Processes", False, tuner_late),
     ("Processes", False, wrong_model),
     ("Processes", False, tuner_floods),

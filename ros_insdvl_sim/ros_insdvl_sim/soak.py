@@ -155,7 +155,7 @@ class Graph:
                 "duration": float(duration),
                 "seed": number + 1,
                 "rate_factor": self.rate_factor,
-                "start_stamp": float(number * soak.LEG),
+                "start_stamp": float(number * duration),
                 "min_subscribers": 2,
                 "imu.accelerometer_bias_std": 0.0,
                 "imu.gyroscope_bias_std": 0.0,
@@ -248,7 +248,7 @@ class Graph:
 
     def _latency(self, number: int, duration: float) -> list[dict[str, float]]:
         """Median and 99th percentile of each part of the leg [ms]."""
-        stamps = np.array(self.recorder.stamps_ns) / NS - number * soak.LEG
+        stamps = np.array(self.recorder.stamps_ns) / NS - number * duration
         latencies = 1e3 * np.array(self.recorder.latencies)
         edges = np.linspace(0.0, duration, PARTS + 1)
         parts = []
@@ -327,6 +327,7 @@ def run(options: argparse.Namespace) -> int:
             document["core"].append(asdict(hour) | {"hour": number})
             print(f"core, hour {number + 1}: {hour.seconds:.1f} s", flush=True)
             keep()
+    keep()
     if options.hours:
         if options.rate_factor:
             document["rate_factor"], document["search"] = options.rate_factor, []

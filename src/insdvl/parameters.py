@@ -30,6 +30,24 @@ class ParameterError(ValueError):
     """A parameter has an unknown name, a wrong type or a value out of its range."""
 
 
+#: Largest size of a number with a unit, where its parameter has no bound of its own: more than any
+#: vehicle, sensor or mission has, and little enough that squares and products stay finite.
+WIDEST = MappingProxyType(
+    {
+        "s": 1e9,
+        "m": 1e7,
+        "m/s": 1e3,
+        "m/s^2": 1e4,
+        "rad": 2 * math.pi,
+        "rad/s": 1e3,
+        "(m/s^2)^2": 1e8,
+        "(rad/s)^2": 1e6,
+        "(m/s^2)^2/s": 1e8,
+        "(rad/s)^2/s": 1e6,
+    }
+)
+
+
 def parameter(
     default: Any,
     meaning: str,
@@ -48,12 +66,15 @@ def parameter(
             floats or of strings is a list of them, and is not empty.
         meaning: One sentence.
         unit: SI unit of the value, empty for a plain number.
-        low: Smallest value allowed, also of each element of a list.
-        high: Largest value allowed, also of each element of a list.
+        low: Smallest value allowed, also of each element of a list; see WIDEST if not given.
+        high: Largest value allowed, also of each element of a list; see WIDEST if not given.
         above: The value must be larger than this.
         choices: The strings allowed; empty for any.
         length: Number of elements of a list.
     """
+    if unit in WIDEST:
+        high = WIDEST[unit] if high is None else high
+        low = -WIDEST[unit] if low is None and above is None else low
     metadata = {
         "meaning": meaning,
         "unit": unit,
@@ -432,6 +453,8 @@ class ProcessNoiseParameters:
                 )
 
 
+_GRAVITY = 9.9  # m/s^2, more than anywhere on the Earth
+
 #: A topic's name as ROS 2 takes it.
 _TOPIC = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 #: Topics of the filter that have another type, and its own output.
@@ -613,22 +636,28 @@ class FilterParameters:
                 f"parameter 'imu.max_gap' must be longer than the interval of imu.rate "
                 f"({interval:g} s), got {self.imu.max_gap!r}: every sample would end a gap"
             )
+        if 0.0 < self.imu.acceleration_range <= _GRAVITY:
+            raise ParameterError(
+                f"parameter 'imu.acceleration_range' must be 0 or more than gravity ({_GRAVITY} "
+                f"m/s^2), got {self.imu.acceleration_range!r}: it would be saturated at rest"
+            )
         _check_frames(self.odom_frame, self.base_frame)
-        self._check_floors()
+        self._check_limits()
 
-    def _check_floors(self) -> None:
-        """A Q that is told is never below the floor; the nominal one, without it, must not be."""
+    def _check_limits(self) -> None:
+        """A Q that is told is within the limits; the nominal one, without it, must be as well."""
         noise = self.process_noise
         if noise.source not in ("external", "message"):
             return
         for sensor in ("accelerometer", "gyroscope"):
-            floor = getattr(noise, f"{sensor}_floor")
-            nominal = min(getattr(noise, f"{sensor}_variance"))
-            if floor > nominal:
-                raise ParameterError(
-                    f"parameter 'process_noise.{sensor}_floor' must be at most {sensor}_variance "
-                    f"({nominal:g}) where the source is '{noise.source}', got {floor!r}"
-                )
+            floor, ceiling = (getattr(noise, f"{sensor}_{end}") for end in ("floor", "ceiling"))
+            for variance in getattr(noise, f"{sensor}_variance"):
+                if not floor <= variance <= ceiling:
+                    raise ParameterError(
+                        f"parameter 'process_noise.{sensor}_variance' must be within its floor and "
+                        f"ceiling ({floor:g} to {ceiling:g}) where the source is "
+                        f"'{noise.source}', got {variance!r}"
+                    )
 
 
 @dataclass(frozen=True)
@@ -721,7 +750,10 @@ class SimulatedNoiseParameters:
         length=3,
     )
     on_factor: float = parameter(
-        20.0, "The variances of 'on-off' when on, as a multiple of those when off.", low=0.0
+        20.0,
+        "The variances of 'on-off' when on, as a multiple of those when off.",
+        low=0.0,
+        high=1e9,
     )
     half_period: float = parameter(
         30.0, "Time between the switches of 'on-off'.", unit="s", low=0.1

@@ -1,14 +1,18 @@
 """Parameters: strict types, ranges, names; YAML sections; the generated files are up to date."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
 from insdvl import parameter_docs
+from insdvl.events import Dvl, Imu, ProcessNoise
+from insdvl.fold import Fold
 from insdvl.parameters import (
     SECTIONS,
     FilterParameters,
@@ -97,7 +101,7 @@ CONTRADICTIONS = [
     (
         FilterParameters,
         {"process_noise.source": "external", "process_noise.accelerometer_floor": 0.011},
-        r"'process_noise.accelerometer_floor' must be at most accelerometer_variance \(0.01\)",
+        r"'process_noise.accelerometer_variance' must be within .* \(0.011 to 100\) .* got 0.01",
     ),
     (
         FilterParameters,
@@ -106,8 +110,19 @@ CONTRADICTIONS = [
             "process_noise.gyroscope_floor": 1e-4,
             "process_noise.gyroscope_variance": [1e-3, 1e-5, 1e-3],
         },
-        r"'process_noise.gyroscope_floor' must be at most gyroscope_variance \(1e-05\)",
+        r"'process_noise.gyroscope_variance' must be within .* 'message', got 1e-05",
     ),
+    (
+        FilterParameters,
+        {"process_noise.source": "external", "process_noise.gyroscope_ceiling": 1e-4},
+        r"'process_noise.gyroscope_variance' must be within .* to 0.0001\) .*, got 0.001",
+    ),
+    (
+        FilterParameters,
+        {"process_noise.gyroscope_floor": 1e-3, "process_noise.gyroscope_ceiling": 1e-4},
+        "'process_noise.gyroscope_floor' must be at most gyroscope_ceiling",
+    ),
+    (FilterParameters, {"imu.acceleration_range": 9.8}, "must be 0 or more than gravity"),
     (SimulatorParameters, {"base_frame": "odom"}, "'base_frame' must be another one"),
     (SimulatorParameters, {"noise.profile": "file"}, "'noise.file' must name a file if"),
     (SimulatorParameters, {"noise.file": "a.csv"}, "and only then; got 'a.csv'"),
@@ -142,6 +157,49 @@ def test_every_default_is_allowed_and_described(node: str) -> None:
     for declaration in declarations(group):
         assert declaration.check(declaration.default) == declaration.default
         assert declaration.meaning.endswith((".", ")")), declaration.name
+
+
+@pytest.mark.parametrize("node", SECTIONS)
+def test_every_number_has_a_range(node: str) -> None:
+    for declaration in declarations(SECTIONS[node]):
+        if "float" in declaration.type_name:
+            assert declaration.low is not None or declaration.above is not None, declaration.name
+            assert declaration.high is not None, declaration.name
+
+
+def ends_of_ranges() -> Iterator[tuple[str, Any]]:
+    for declaration in declarations(FilterParameters):
+        if declaration.type_name in ("int", "float", "list of floats"):
+            kind = int if declaration.type_name == "int" else float
+            for end in declaration.low, declaration.above, declaration.high:
+                if end is not None:
+                    value = kind(end)
+                    if end == declaration.above:
+                        value = end + 1e-6
+                    length = declaration.length
+                    yield declaration.name, [value] * length if length else value
+
+
+def test_the_ends_of_every_range_give_a_finite_state() -> None:
+    """Each parameter alone at its smallest and its largest value, where nothing contradicts it."""
+    tried = 0
+    for name, value in ends_of_ranges():
+        try:
+            fold = Fold(build(FilterParameters, {name: value, "process_noise.source": "external"}))
+        except ParameterError:
+            continue
+        f, w = np.array([0.1, -0.2, -9.8]), np.array([0.01, 0.02, -0.03])
+        for k in range(60):
+            fold.add(Imu(k * 10_000_000, f + 1e-3 * k, w + 1e-4 * k))
+            if k % 20 == 10:
+                fold.add(ProcessNoise(k * 10_000_000, 0.01 * np.eye(3), 0.001 * np.eye(3)))
+                fold.add(Dvl(k * 10_000_000 + 1, np.array([0.5, 0.1, 0.01 * k])))
+        state = fold.states[-1]
+        for field_ in state.dtype.names:
+            if state.dtype[field_].base.kind == "f":
+                assert np.isfinite(state[field_]).all(), (name, value, field_)
+        tried += 1
+    assert tried > 60
 
 
 # ---------------------------------------------------------------- YAML

@@ -3,6 +3,7 @@
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,7 @@ from ros_insdvl_sim.relay import Relay
 
 RELIABLE = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
 DEADLINE = 120.0  # s; far beyond what any of these waits takes
+NUMBERS = count(1)
 KINDS = {"imu/data_raw": Imu, "dvl/velocity": TwistStamped}
 
 
@@ -39,10 +41,12 @@ class Graph:
     """A relay, perhaps a filter behind it, and a node at both ends; one executor turns all."""
 
     def __init__(self, relay: dict[str, Any] | None, filter_: dict[str, Any] | None = None) -> None:
+        # Of its own: nodes of other graphs live on, or are still listed.
+        self.namespace = f"/graph_{next(NUMBERS)}"
         self.context = Context()
         self.context.init()
         self.executor = SingleThreadedExecutor(context=self.context)
-        self.peer = self.add(Node("peer", namespace="/auv", context=self.context))
+        self.peer = self.add(Node("peer", namespace=self.namespace, context=self.context))
         self.relay = None if relay is None else self.make(Relay, "sent/", relay)
         self.filter = None if filter_ is None else self.make(FilterNode, "", filter_)
         prefix = "" if relay is None else "sent/"
@@ -74,11 +78,13 @@ class Graph:
 
     def make(self, kind: Any, prefix: str, parameters: dict[str, Any]) -> Any:
         qos = {
-            f"qos_overrides./auv/{prefix}{topic}.subscription.reliability": "reliable"
+            f"qos_overrides.{self.namespace}/{prefix}{topic}.subscription.reliability": "reliable"
             for topic in KINDS
         }
         overrides = [Parameter(name, value=v) for name, v in {**qos, **parameters}.items()]
-        return self.add(kind(namespace="/auv", context=self.context, parameter_overrides=overrides))
+        return self.add(
+            kind(namespace=self.namespace, context=self.context, parameter_overrides=overrides)
+        )
 
     def listen(self, kind: Any, topic: str, *, raw: bool = False) -> None:
         received = self.received[topic] = []
@@ -224,7 +230,7 @@ def test_diagnostics_tell_what_was_lost_and_doubled(graph: Any) -> None:
 
     def keep(message: DiagnosticArray) -> None:
         for status in message.status:
-            if status.name == "/auv/insdvl_relay: relay":
+            if status.name == f"{g.namespace}/insdvl_relay: relay":
                 told.update({item.key: item.value for item in status.values})
 
     g.peer.create_subscription(DiagnosticArray, "/diagnostics", keep, RELIABLE)

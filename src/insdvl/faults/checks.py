@@ -139,7 +139,10 @@ def update_reason(reason: str, share: float = 1.0, *, topic: str = "dvl/velocity
 
     def judge(pairs: Pairs) -> tuple[str, bool]:
         counts = [
-            sum(why == reason for time_ns, _, why in pair.flight.updates if _during(pair, time_ns))
+            sum(
+                why == reason and pair.begin_ns <= stamp_ns < pair.end_ns
+                for _, stamp_ns, why in pair.flight.updates
+            )
             for pair in pairs
         ]
         touched = [pair.flight.faulted.get(topic, 0) for pair in pairs]
@@ -148,11 +151,6 @@ def update_reason(reason: str, share: float = 1.0, *, topic: str = "dvl/velocity
 
     portion = "all" if share == 1.0 else f"at least {100.0 * share:g} %"
     return Check(f"{portion} refused as `{reason}`", judge)
-
-
-def _during(pair: Pair, time_ns: int) -> bool:
-    # An update may wait for the IMU sample that spans it.
-    return pair.begin_ns <= time_ns < pair.end_ns + NS
 
 
 def counter(name: str, low: int, high: int | None = None) -> Check:

@@ -109,11 +109,10 @@ def _imu_rows() -> list[Row]:
         ),
         Row(
             "IMU",
-            "1e300 in a channel, one sample; range declared",
-            changes.edited(IMU, BEGIN, BEGIN + 0.005, triad(FORCE, axis(1, 1e300)), valid=True),
-            (nothing_refused(), counter("saturated", 1), covered(), recovers(10.0)),
+            "1e300 in a channel, one sample",
+            changes.edited(IMU, BEGIN, BEGIN + 0.005, triad(FORCE, axis(1, 1e300))),
+            (refused("out_of_range", IMU), covered(), recovers(10.0)),
             end=BEGIN + 0.01,
-            parameters={"imu.acceleration_range": 100.0},
         ),
         Row(
             "IMU",
@@ -199,7 +198,7 @@ def _imu_rows() -> list[Row]:
     rows += [
         Row(
             "IMU",
-            "accelerometer x at its range for 10 s; range declared",
+            "accelerometer x stuck at its range for 10 s; range declared",
             changes.clipped(FORCE, 0, 20.0, BEGIN, BEGIN + 10.0, push=50.0),
             (nothing_refused(), counter("saturated", 1000), covered(), recovers(20.0), rejoins()),
             end=BEGIN + 10.0,
@@ -207,7 +206,16 @@ def _imu_rows() -> list[Row]:
         ),
         Row(
             "IMU",
-            "gyroscope z at its range for 10 s; range declared",
+            "gyroscope z at its range in a turn of 30 s; range declared",
+            changes.clipped(RATE, 2, 0.1, 130.0, 160.0, push=0.0),
+            (nothing_refused(), counter("saturated", 500, 3000), covered(), recovers(20.0)),
+            begin=130.0,
+            end=160.0,
+            parameters={"imu.rate_range": 0.1},
+        ),
+        Row(
+            "IMU",
+            "gyroscope z stuck at its range for 10 s; range declared",
             changes.clipped(RATE, 2, 2.0, BEGIN, BEGIN + 10.0, push=5.0),
             (nothing_refused(), counter("saturated", 1000), covered(), recovers(20.0), rejoins()),
             end=BEGIN + 10.0,

@@ -48,14 +48,14 @@ def start_parameters() -> dict[str, Any]:
 
 
 def hour(number: int, duration: float = LEG) -> Mission:
-    """An hour of the mission, its stamps after those of the hour before; the first is 0."""
+    """An hour of the mission, or a shorter leg; its stamps follow those of the one before."""
     return simulate(
         LOOP,
         SCENARIOS["varying"],
         seed=1 + number,
         duration=duration,
         imu=IMU,
-        start_ns=round(number * LEG * NS),
+        start_ns=round(number * duration * NS),
     )
 
 
@@ -85,7 +85,7 @@ def run(hours: int, duration: float = LEG) -> Iterator[Hour]:
 
     Args:
         hours: How many.
-        duration: Of each [s]; shorter ones leave gaps between them.
+        duration: Of each [s]; at the seam of shorter ones the heading jumps.
     """
     parameters = build(FilterParameters, start_parameters() | {"process_noise.source": "external"})
     fold, inputs, tuner = Fold(parameters), Inputs(parameters), Tuner(TunerParameters())

@@ -210,7 +210,7 @@ def mission_of(parameters: SimulatorParameters) -> Mission:
         outlier_size=dvl.outlier_size,
     )
     duration = parameters.duration or trajectory.duration
-    if duration * imu.rate > MAX_SAMPLES:
+    if min(duration, trajectory.duration) * imu.rate > MAX_SAMPLES:
         raise ParameterError(
             f"parameter 'duration' must be at most {MAX_SAMPLES / imu.rate:g} s at imu.rate "
             f"{imu.rate:g} Hz, got {duration!r}: a mission has at most {MAX_SAMPLES} samples"

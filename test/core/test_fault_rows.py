@@ -1,0 +1,123 @@
+"""The fault matrix: its short form is met, its judge can say no, and the page is of its numbers."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from insdvl.events import NS
+from insdvl.faults import changes, page
+from insdvl.faults.changes import Change
+from insdvl.faults.checks import Check, Pair, nothing_refused, refused, rejoins, same_bits
+from insdvl.faults.flight import Flight, fly, parameters_of
+from insdvl.faults.matrix import judged
+from insdvl.faults.rows import ONE_SEED, ROWS
+from insdvl.faults.soak import run as core_soak
+from insdvl.faults.stream import DVL, IMU, Sensors, stream_of
+
+DOCS = Path(__file__).parents[2] / "docs"
+SENSORS = Sensors()
+
+#: Enough of the matrix for every test run; `make faults` has all of it.
+SHORT = ("one copy with a stamp 10^6 s ahead", "clock set back by 500 s; jump_action reset")
+
+
+@pytest.mark.parametrize("name", SHORT)
+def test_short_form(name: str) -> None:
+    row = next(row for row in ROWS if row.name == name)
+    result = judged(replace(row, seeds=ONE_SEED))
+    assert result["met"], [check for check in result["checks"] if not check["met"]]
+    assert result["lost"] == 0
+
+
+def test_rows_have_names_of_their_own() -> None:
+    names = [(row.group, row.name) for row in ROWS]
+    assert len(set(names)) == len(names)
+
+
+def flown(change: Change = changes.unchanged, seed: int = 1) -> Flight:
+    """Ten seconds."""
+    stream = stream_of(SENSORS, 1, 10.0)
+    parameters = parameters_of(stream.mission, SENSORS, seed, {})
+    return fly(change(stream, np.random.default_rng(5)), parameters)
+
+
+def judge(check: Check, change: Change) -> tuple[str, bool]:
+    """A check of a fault from 4 to 5 s."""
+    begin_ns = SENSORS.start_ns + 4 * NS
+    return check.judge([Pair(flown(change), flown(), begin_ns, begin_ns + NS)])
+
+
+def test_a_flight_repeats_to_the_bit() -> None:
+    assert flown().digest == flown().digest != flown(seed=2).digest
+
+
+def test_a_valid_message_without_output_is_lost() -> None:
+    assert flown().lost == 0
+    assert flown(changes.late(IMU, 4.0, 5.0, delay=3.0, share=1.0)).lost == 100
+    assert flown(changes.dropped(IMU, 4.0, 5.0)).lost == 0  # nobody has sent it
+    unstamped = changes.edited(DVL, 3.9, 5.1, changes.stamped(0, 0), valid=True)
+    assert flown(unstamped).lost == 2
+
+
+def test_checks_say_no() -> None:
+    gap = changes.dropped(IMU, 4.0, 4.05)
+    copies = changes.added(IMU, 4.0, 5.0, lambda message: message)
+    unstamped = changes.added(IMU, 4.0, 5.0, changes.stamped(0, 0))
+    both = changes.all_of(copies, unstamped)
+    assert judge(same_bits(), copies)[1] and not judge(same_bits(), gap)[1]
+    assert judge(nothing_refused(), gap)[1] and not judge(nothing_refused(), copies)[1]
+    assert judge(refused("duplicate", IMU), copies) == ("`duplicate` 100 of 100", True)
+    assert not judge(refused("no_stamp", IMU), both)[1]
+    assert not judge(rejoins(), changes.dropped(DVL, 0.0, 10.0))[1]
+
+
+def test_recovery_is_the_time_until_the_calm_flight_is_met_again() -> None:
+    calm = flown()
+    begin_ns, end_ns = SENSORS.start_ns + 4 * NS, SENSORS.start_ns + 5 * NS
+
+    def recovery(far: Any) -> float | None:
+        v_b = calm.v_b.copy()
+        v_b[far(calm.times_ns - end_ns)] += 0.06
+        return Pair(replace(calm, v_b=v_b), calm, begin_ns, end_ns).recovery()
+
+    assert recovery(lambda t: t < 0) == 0.0
+    assert recovery(lambda t: (t >= 0) & (t <= 2 * NS)) == pytest.approx(2.01)
+    assert recovery(lambda t: t >= 0) is None
+
+
+def test_the_page_in_docs_is_the_one_of_its_numbers() -> None:
+    found = page.documents(DOCS / "reliability")
+    assert (DOCS / "reliability.md").read_text() == page.markdown(found)
+
+
+def test_the_page_names_what_is_not_met_and_what_is_missing() -> None:
+    row = {
+        "group": "IMU",
+        "fault": "a fault",
+        "error_during": 0.1234,
+        "error_during_calm": 0.1,
+        "error_after": None,
+        "error_after_calm": None,
+        "recovery": 2.0,
+        "lost": 3,
+        "checks": [
+            {"expected": "this", "seen": "that", "met": False},
+            {"expected": "no loss", "seen": "none", "met": True, "always": True},
+        ],
+        "met": False,
+    }
+    text = page.markdown({"messages": {"rows": [row]}})
+    assert "| a fault | this | **that** | 0.123 (0.100) | – | 2.0 | 3 | **no** |" in text
+    assert "**0 of 1 rows are met; valid messages lost: 3.**" in text
+    assert "Not computed: processes." in text and "Not computed: soak." in text
+
+
+def test_the_core_soaks() -> None:
+    hours = list(core_soak(2, duration=12.0))
+    for hour in hours:
+        assert hour.samples == hour.outputs == 1200
+        assert hour.body_velocity_rmse < 0.3
+        assert 1.0 < hour.nis < 8.0

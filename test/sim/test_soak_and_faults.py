@@ -1,0 +1,59 @@
+"""The commands behind `make faults` and `make soak`, in their short forms."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from insdvl.faults import page
+from ros_insdvl_sim import faults, soak
+
+
+def test_a_fault_row_of_the_network_is_met(tmp_path: Path) -> None:
+    options = faults.parse(["--short", "--parts", "processes", "--out", str(tmp_path)])
+    assert faults.run(options) == 0
+    document = json.loads((tmp_path / "reliability" / "processes.json").read_text())
+    (row,) = document["rows"]
+    assert row["met"] and row["lost"] == 0
+    assert row["fault"] in (tmp_path / "reliability.md").read_text()
+
+
+def test_legs_of_a_soak_add_up(tmp_path: Path) -> None:
+    options = ["--leg", "20", "--rate-factor", "4", "--out", str(tmp_path)]
+    assert soak.run(soak.parse([*options, "--hours", "2"])) == 0
+    file = tmp_path / "reliability" / "soak.json"
+    first = json.loads(file.read_text())["legs"]
+    assert [leg["leg"] for leg in first] == [0, 1]
+    for leg in first:
+        assert soak.lost(leg) == 0
+        assert {row["sent"] for row in leg["messages"] if row["topic"] == "imu/data_raw"} == {2000}
+        assert leg["nis"] < 8.0 and leg["body_velocity_rmse"] < 0.5
+        assert leg["memory"]["filter"]["end"] > 10.0
+    # What is there is kept, and the page is of it.
+    assert soak.run(soak.parse([*options, "--hours", "0"])) == 0
+    assert json.loads(file.read_text())["legs"] == first
+    found = page.documents(tmp_path / "reliability")
+    assert soak.run(soak.parse([*options, "--hours", "0", "--core-hours", "1"])) == 0
+    assert (tmp_path / "reliability.md").read_text() != page.markdown(found)
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (["--hours", "-1"], "--hours must be >= 0, got -1"),
+        (["--leg", "5"], "--leg must be from 10 to 3600 s, got 5"),
+        (["--rate-factor", "nan"], "--rate-factor must be from 0 to 1000, got nan"),
+    ],
+)
+def test_what_the_soak_refuses(
+    options: list[str], sentence: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        soak.parse(options)
+    assert sentence in capsys.readouterr().err
+
+
+def test_what_the_faults_refuse(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        faults.parse(["--parts", "moon"])
+    assert "--parts must be of messages,processes, got 'moon'" in capsys.readouterr().err
