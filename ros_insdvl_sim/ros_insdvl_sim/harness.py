@@ -23,7 +23,7 @@ from insdvl.events import NS
 from ros_insdvl.node import publisher_qos, subscribe
 from ros_insdvl_sim.demo import DEPTH, arguments_of
 
-PATIENCE = 120.0  # s of the wall that anything may take; without a cache, programs compile first
+PATIENCE = 300.0  # s of the wall that anything may take; without a cache, programs compile first
 QUIET_TIME = 3.0  # s of the wall without anything new after which nothing more comes
 
 FILTER, TUNER, SIMULATOR, RELAY = (
