@@ -43,6 +43,12 @@ Records = NDArray[np.void]
 FAULT = 1.5
 
 
+#: An update is iterated while h bends by more than a tenth of a sigma of the measurement, but not
+#: for ever: each iteration leaves a fraction.
+_BEND = 0.1**2
+_ITERATIONS = 10
+
+
 @dataclass(frozen=True)
 class UpdateReport:
     """What an update did.
@@ -589,11 +595,47 @@ class Filter:
             if self.process_noise.tau is not None:
                 s["P"] = variational(s["P"], w["H"], R, innovation, self.process_noise.tau)
                 _innovate(state, self._workspace, self.constants, dvl.v_d, w_ib_b, R)
-            _correct(state, self._workspace, self.constants, R)
+            K = self._correct(state, dvl, w_ib_b, R)
             self._accepted(s, dvl.stamp_ns)
-            self.process_noise.innovated(s, w["K"], innovation)
+            self.process_noise.innovated(s, K, innovation)
         s["dvl_ns"] = dvl.stamp_ns
         return UpdateReport(innovation, S, float(nis), accepted, reason)
+
+    def _correct(self, state: Records, dvl: Dvl, w_ib_b: Array, R: Array) -> Array:
+        """Correct with the innovation and the gain of the workspace, and return the gain (n, 3).
+
+        After a long outage the correction can be so large that h is not linear over it: the product
+        of a turn psi and a change of velocity dv is missed. Where what is left of the innovation is
+        not what a linear h leaves, the update is iterated from the same prior with h at the
+        corrected state (Gauss-Newton; Bell and Cathey, IEEE Transactions on Automatic Control
+        38(2), 1993).
+        """
+        w, prior = self._workspace[0], state.copy()
+        P = prior[0]["P"]
+        K, innovation = w["K"].copy(), w["innovation"].copy()
+        # Errors of the corrected state are T times those of the prior that are left.
+        T = np.eye(self.n)
+        for _ in range(_ITERATIONS):
+            dx = K @ innovation
+            left = innovation - w["H"] @ dx
+            _correct(state, self._workspace, self.constants, R)
+            corrected = state.copy()
+            _innovate(state, self._workspace, self.constants, dvl.v_d, w_ib_b, R)
+            bend = w["innovation"] - left
+            if bend @ np.linalg.solve(R, bend) < _BEND:
+                break
+            if self.invariant:
+                T[VELOCITY, ATTITUDE] = error_state.cross_matrix(dx[VELOCITY])
+            H = w["H"] @ T
+            innovation = w["innovation"] + H @ dx
+            K = np.linalg.solve(H @ P @ H.T + R, H @ P).T
+            w["H"], w["K"], w["innovation"] = H, K, innovation
+            state[:] = prior
+        state[:] = corrected
+        if T[VELOCITY, ATTITUDE].any():
+            P = T @ state[0]["P"] @ T.T
+            state[0]["P"] = (P + P.T) / 2
+        return K
 
     def sample_variance_w(self, s: State) -> Array:
         """Variance (3, 3) of one angular rate sample [(rad/s)^2], whatever Q's convention is."""
