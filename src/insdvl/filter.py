@@ -41,6 +41,11 @@ Records = NDArray[np.void]
 
 #: A measurement whose NIS is so many times the gate's limit is surely an error of the DVL.
 FAULT = 1.5
+#: So long [ns] any filter may reject in a row; a longer interval between measurements bears nothing
+#: out.
+LEAST_PATIENCE_NS = 5 * NS
+#: Most tilt, one sigma [rad], that an inflation takes for possible.
+LARGEST_TILT_DOUBT = 0.5
 
 
 #: An update is iterated while h bends by more than a tenth of a sigma of the measurement, but not
@@ -459,7 +464,7 @@ class Filter:
         if s["imu_ns"] == NEVER:
             s["imu_ns"] = stamp_ns  # samples are missing from here on: a long wait is a gap
         s["time_ns"], s["initialised"] = stamp_ns, 1
-        s["innovation_count"], s["Q_x"] = 0, 0.0
+        s["innovation_count"], s["Q_x"], s["trust_ns"] = 0, 0.0, 0
         self._trust_dvl(s)
         # What a channel has not shown before is in the state that was told.
         s["unseen_ns"], s["equal_ns"] = NEVER, np.maximum(s["equal_ns"], stamp_ns)
@@ -619,8 +624,9 @@ class Filter:
             dx = K @ innovation
             left = innovation - w["H"] @ dx
             _correct(state, self._workspace, self.constants, R)
-            corrected = state.copy()
             _innovate(state, self._workspace, self.constants, dvl.v_d, w_ib_b, R)
+            state[0]["left"] = w["innovation"]
+            corrected = state.copy()
             bend = w["innovation"] - left
             if bend @ np.linalg.solve(R, bend) < _BEND:
                 break
@@ -675,23 +681,51 @@ class Filter:
         the IMU may have drifted in between: the more likely of the two explanations holds.
         """
         known = s["fault_ns"] != NEVER and not self._in_doubt(s)
-        if not known or dvl.stamp_ns - s["rejected_from_ns"] >= self._patience_ns:
+        if not known or dvl.stamp_ns - s["rejected_from_ns"] >= s["patience_ns"]:
             return False
-        dt = (dvl.stamp_ns - s["fault_ns"]) / NS
-        C, P, Q_f = s["C_n_b"], s["P"], s["Q_f"]
-        g_x = error_state.cross_matrix(self._workspace[0]["g_n"])
-        acceleration = g_x @ P[ATTITUDE, ATTITUDE] @ g_x.T
-        acceleration += C @ P[ACCELEROMETER_BIAS, ACCELEROMETER_BIAS] @ C.T
-        drift = dt**2 * acceleration + dt * self.constants[0]["density"] * (C @ Q_f @ C.T)
-        C_n_d = C @ self.C_b_d
-        S_step = 2.0 * R + C_n_d.T @ drift @ C_n_d
+        S_step = self._step_covariance(s, dvl.stamp_ns - int(s["fault_ns"]), R)
         step = innovation - s["fault"]
         return bool(
             step @ np.linalg.solve(S_step, step) + np.linalg.slogdet(S_step)[1]
             < nis + np.linalg.slogdet(S)[1]
         )
 
+    def _step_covariance(self, s: State, interval_ns: int, R: Array) -> Array:
+        """Covariance (3, 3) of the step between two innovations, nothing corrected in between.
+
+        That of the noise of two measurements, and of the IMU's drift over the interval [ns].
+        """
+        dt = interval_ns / NS
+        C, P, Q_f = s["C_n_b"], s["P"], s["Q_f"]
+        g_x = error_state.cross_matrix(self._workspace[0]["g_n"])
+        acceleration = g_x @ P[ATTITUDE, ATTITUDE] @ g_x.T
+        acceleration += C @ P[ACCELEROMETER_BIAS, ACCELEROMETER_BIAS] @ C.T
+        drift = dt**2 * acceleration + dt * self.constants[0]["density"] * (C @ Q_f @ C.T)
+        C_n_d = C @ self.C_b_d
+        return 2.0 * R + C_n_d.T @ drift @ C_n_d
+
+    def _patience(self, s: State, stamp_ns: int, innovation: Array, R: Array) -> int:
+        """How long [ns] the filter may reject from this measurement on.
+
+        A step that the IMU did not see is the DVL's, and then as long as the DVL has borne the
+        filter out before. Else the filter has drifted, or its own covariance is wrong.
+        """
+        least_ns = min(LEAST_PATIENCE_NS, self._patience_ns)
+        if s["accepted_ns"] == NEVER:
+            return least_ns
+        step = innovation - s["left"]
+        S_step = self._step_covariance(s, stamp_ns - int(s["accepted_ns"]), R)
+        if step @ np.linalg.solve(S_step, step) <= self._gate:
+            return least_ns
+        return max(least_ns, int(s["trust_ns"]))
+
     def _accepted(self, s: State, stamp_ns: int) -> None:
+        if s["accepted_ns"] != NEVER:
+            since_ns = stamp_ns - int(s["accepted_ns"])
+            steady = since_ns <= LEAST_PATIENCE_NS and not s["rejections"]
+            # What was contradicted, or not looked at, counts double against the filter.
+            trust_ns = int(s["trust_ns"]) + (since_ns if steady else -2 * since_ns)
+            s["trust_ns"] = 0 if self._in_doubt(s) else min(max(trust_ns, 0), self._patience_ns)
         s["accepted_ns"] = stamp_ns
         self._trust_dvl(s)
 
@@ -703,16 +737,16 @@ class Filter:
         """Reject, but not for ever: inflate the velocity covariance, then restart the velocity."""
         if s["rejections"] == 0:
             s["rejected_from_ns"] = s["rejected_ns"] = dvl.stamp_ns
+            s["patience_ns"] = self._patience(s, dvl.stamp_ns, innovation, R)
         since_ns = dvl.stamp_ns - int(s["rejected_from_ns"])
-        inflated = s["rejected_ns"] - s["rejected_from_ns"] >= self._patience_ns
+        inflated = s["rejected_ns"] - s["rejected_from_ns"] >= s["patience_ns"]
         s["rejections"] += 1
         s["rejected_ns"] = dvl.stamp_ns
         # An IMU that is in doubt itself has no patience to ask for.
         in_doubt = self._in_doubt(s)
-        if in_doubt or (not inflated and since_ns >= self._patience_ns):
-            s["P"][VELOCITY, VELOCITY] += np.eye(3) * (innovation @ innovation)
-            s["inflations"] += 1
-        if in_doubt or not inflated or since_ns < 2 * self._patience_ns:
+        if in_doubt or (not inflated and since_ns >= s["patience_ns"]):
+            self._inflate(s, dvl.stamp_ns, innovation)
+        if in_doubt or not inflated or since_ns < 2 * s["patience_ns"]:
             return False, "gate"
         # Velocity from this measurement alone, independent of all else; as uncertain as the two
         # are apart, for one of them is wrong.
@@ -731,6 +765,27 @@ class Filter:
         self._accepted(s, dvl.stamp_ns)
         s["restarts"] += 1
         return True, "restarted"
+
+    def _inflate(self, s: State, stamp_ns: int, innovation: Array) -> None:
+        """Doubt the velocity, and the tilt that may have led it astray since it last fitted.
+
+        A tilt error psi drives the velocity by [g x] psi; the one that makes the innovation in the
+        time that has passed is one sigma.
+        """
+        variance = float(innovation @ innovation)
+        s["P"][VELOCITY, VELOCITY] += np.eye(3) * variance
+        # A channel that is in doubt has its own explanation.
+        known = s["accepted_ns"] != NEVER and stamp_ns > s["accepted_ns"]
+        if known and not self._in_doubt(s):
+            g_n = self._workspace[0]["g_n"]
+            seconds = (stamp_ns - int(s["accepted_ns"])) / NS
+            sigma = min(np.sqrt(variance) / (np.linalg.norm(g_n) * seconds), LARGEST_TILT_DOUBT)
+            A = np.zeros((self.n, 2))  # of the turns about north and east
+            A[ATTITUDE] = np.eye(3)[:, :2]
+            A[VELOCITY] = seconds * error_state.cross_matrix(g_n)[:, :2]
+            s["P"] += sigma**2 * (A @ A.T)
+        s["trust_ns"] = 0
+        s["inflations"] += 1
 
 
 def _or_isotropic(P: Array | None, std: float) -> Array:

@@ -364,8 +364,10 @@ class GateParameters:
     )
     max_rejection_time: float = parameter(
         60.0,
-        "When nothing but rejections came for this time (in stamps) the velocity covariance is "
-        "inflated; after twice this time the velocity is initialised again from the DVL.",
+        "When nothing but rejections came for this time (in stamps), or for as long as the DVL has "
+        "borne the filter out before if that is shorter, but at least 5 s, the covariance of "
+        "velocity and tilt is inflated; after twice the time the velocity is initialised again "
+        "from the DVL.",
         unit="s",
         above=0.0,
         high=3600.0,

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from insdvl.error_state import VELOCITY, body_velocity_jacobian
+from insdvl.error_state import ATTITUDE, VELOCITY, body_velocity_jacobian
 from insdvl.events import Dvl, Initial
 from insdvl.filter import Filter
 from insdvl.fold import FoldResult, run
@@ -159,7 +159,7 @@ def test_a_filter_that_is_wrong_recovers(error_state: str) -> None:
     np.testing.assert_allclose(error, -jump, atol=4 * DVL_STD)
 
 
-def test_after_the_limit_the_velocity_covariance_grows_by_the_innovation() -> None:
+def test_after_the_limit_velocity_and_tilt_may_be_what_makes_the_innovation() -> None:
     m = mission()
     jump_at = 20
     v_d = m.v_d.copy()
@@ -169,8 +169,18 @@ def test_after_the_limit_the_velocity_covariance_grows_by_the_innovation() -> No
     k = int(np.searchsorted(m.stamps_ns, m.dvl_stamps_ns[last]))
     innovation = result.updates[last].report.innovation
     before, after = result.states[k - 1]["P"], result.states[k]["P"]
-    growth = (after - before)[VELOCITY, VELOCITY]
-    np.testing.assert_allclose(growth, np.eye(3) * (innovation @ innovation), rtol=1e-3, atol=1e-3)
+    # The velocity by the innovation; and once more, about the level axes, by a tilt that has led it
+    # there in the 5 s since the last accepted measurement, fully correlated with that tilt.
+    growth, square = after - before, innovation @ innovation
+    assert result.updates[jump_at - 1].report.accepted
+    expected = np.diag([2.0, 2.0, 1.0]) * square
+    np.testing.assert_allclose(growth[VELOCITY, VELOCITY], expected, rtol=1e-3, atol=1e-3)
+    tilt = square / (9.8 * (LIMIT + 1)) ** 2
+    np.testing.assert_allclose(
+        growth[ATTITUDE, ATTITUDE], np.diag([tilt, tilt, 0.0]), rtol=2e-3, atol=1e-5
+    )
+    northwards, eastwards = growth[VELOCITY, ATTITUDE][0, 1], growth[VELOCITY, ATTITUDE][1, 0]
+    np.testing.assert_allclose([northwards, -eastwards], -np.sqrt(square * tilt), rtol=2e-3)
     assert result.states["inflations"][k - 1 : k + 1].tolist() == [0, 1]
 
 
