@@ -48,7 +48,7 @@ LEAST_PATIENCE_NS = 5 * NS
 LARGEST_TILT_DOUBT = 0.5
 
 
-#: An update is iterated while h bends by more than a tenth of a sigma of the measurement, but not
+#: An update is iterated while h bends by more than a tenth of the mean sigma of R, but not
 #: for ever: each iteration leaves a fraction.
 _BEND = 0.1**2
 _ITERATIONS = 10
@@ -464,7 +464,7 @@ class Filter:
         if s["imu_ns"] == NEVER:
             s["imu_ns"] = stamp_ns  # samples are missing from here on: a long wait is a gap
         s["time_ns"], s["initialised"] = stamp_ns, 1
-        s["innovation_count"], s["Q_x"], s["trust_ns"] = 0, 0.0, 0
+        s["innovation_count"], s["Q_x"], s["trusted_for"] = 0, 0.0, 0
         self._trust_dvl(s)
         # What a channel has not shown before is in the state that was told.
         s["unseen_ns"], s["equal_ns"] = NEVER, np.maximum(s["equal_ns"], stamp_ns)
@@ -617,29 +617,38 @@ class Filter:
         """
         w, prior = self._workspace[0], state.copy()
         P = prior[0]["P"]
-        K, innovation = w["K"].copy(), w["innovation"].copy()
-        # Errors of the corrected state are T times those of the prior that are left.
-        T = np.eye(self.n)
+        H, K, innovation = w["H"].copy(), w["K"].copy(), w["innovation"].copy()
+        T = np.eye(self.n)  # errors of the corrected state, by those of the prior that are left
+        smallest, corrected, used = np.inf, state.copy(), (H, K, T)
         for _ in range(_ITERATIONS):
             dx = K @ innovation
-            left = innovation - w["H"] @ dx
+            left = innovation - H @ dx
             _correct(state, self._workspace, self.constants, R)
             _innovate(state, self._workspace, self.constants, dvl.v_d, w_ib_b, R)
             state[0]["left"] = w["innovation"]
-            corrected = state.copy()
             bend = w["innovation"] - left
-            if bend @ np.linalg.solve(R, bend) < _BEND:
+            size = bend @ bend / (np.trace(R) / 3.0)
+            if size < smallest:  # should the iteration lead away, the best correction stands
+                smallest, corrected, used = size, state.copy(), (H, K, T)
+            if size < _BEND or not np.isfinite(size):
                 break
             if self.invariant:
+                T = np.eye(self.n)
                 T[VELOCITY, ATTITUDE] = error_state.cross_matrix(dx[VELOCITY])
             H = w["H"] @ T
+            S = H @ P @ H.T + R
+            if not np.linalg.det(S) > 0.0:  # lost in rounding
+                break
+            K = np.linalg.solve(S, H @ P).T
             innovation = w["innovation"] + H @ dx
-            K = np.linalg.solve(H @ P @ H.T + R, H @ P).T
             w["H"], w["K"], w["innovation"] = H, K, innovation
             state[:] = prior
         state[:] = corrected
+        H, K, T = used
         if T[VELOCITY, ATTITUDE].any():
-            P = T @ state[0]["P"] @ T.T
+            # Joseph form with T inside, where large numbers cancel before they are squared.
+            A, B = T @ (np.eye(self.n) - K @ H), T @ K
+            P = A @ P @ A.T + B @ R @ B.T
             state[0]["P"] = (P + P.T) / 2
         return K
 
@@ -681,7 +690,7 @@ class Filter:
         the IMU may have drifted in between: the more likely of the two explanations holds.
         """
         known = s["fault_ns"] != NEVER and not self._in_doubt(s)
-        if not known or dvl.stamp_ns - s["rejected_from_ns"] >= s["patience_ns"]:
+        if not known or dvl.stamp_ns - s["rejected_from_ns"] >= s["patient_for"]:
             return False
         S_step = self._step_covariance(s, dvl.stamp_ns - int(s["fault_ns"]), R)
         step = innovation - s["fault"]
@@ -702,7 +711,8 @@ class Filter:
         acceleration += C @ P[ACCELEROMETER_BIAS, ACCELEROMETER_BIAS] @ C.T
         drift = dt**2 * acceleration + dt * self.constants[0]["density"] * (C @ Q_f @ C.T)
         C_n_d = C @ self.C_b_d
-        return 2.0 * R + C_n_d.T @ drift @ C_n_d
+        # The last term, far below all noise, gives an R that is singular an inverse.
+        return 2.0 * R + C_n_d.T @ drift @ C_n_d + 1e-9 * np.trace(R) * np.eye(3)
 
     def _patience(self, s: State, stamp_ns: int, innovation: Array, R: Array) -> int:
         """How long [ns] the filter may reject from this measurement on.
@@ -717,15 +727,15 @@ class Filter:
         S_step = self._step_covariance(s, stamp_ns - int(s["accepted_ns"]), R)
         if step @ np.linalg.solve(S_step, step) <= self._gate:
             return least_ns
-        return max(least_ns, int(s["trust_ns"]))
+        return max(least_ns, int(s["trusted_for"]))
 
     def _accepted(self, s: State, stamp_ns: int) -> None:
         if s["accepted_ns"] != NEVER:
             since_ns = stamp_ns - int(s["accepted_ns"])
             steady = since_ns <= LEAST_PATIENCE_NS and not s["rejections"]
             # What was contradicted, or not looked at, counts double against the filter.
-            trust_ns = int(s["trust_ns"]) + (since_ns if steady else -2 * since_ns)
-            s["trust_ns"] = 0 if self._in_doubt(s) else min(max(trust_ns, 0), self._patience_ns)
+            trust_ns = int(s["trusted_for"]) + (since_ns if steady else -2 * since_ns)
+            s["trusted_for"] = 0 if self._in_doubt(s) else min(max(trust_ns, 0), self._patience_ns)
         s["accepted_ns"] = stamp_ns
         self._trust_dvl(s)
 
@@ -737,16 +747,16 @@ class Filter:
         """Reject, but not for ever: inflate the velocity covariance, then restart the velocity."""
         if s["rejections"] == 0:
             s["rejected_from_ns"] = s["rejected_ns"] = dvl.stamp_ns
-            s["patience_ns"] = self._patience(s, dvl.stamp_ns, innovation, R)
+            s["patient_for"] = self._patience(s, dvl.stamp_ns, innovation, R)
         since_ns = dvl.stamp_ns - int(s["rejected_from_ns"])
-        inflated = s["rejected_ns"] - s["rejected_from_ns"] >= s["patience_ns"]
+        inflated = s["rejected_ns"] - s["rejected_from_ns"] >= s["patient_for"]
         s["rejections"] += 1
         s["rejected_ns"] = dvl.stamp_ns
         # An IMU that is in doubt itself has no patience to ask for.
         in_doubt = self._in_doubt(s)
-        if in_doubt or (not inflated and since_ns >= s["patience_ns"]):
+        if in_doubt or (not inflated and since_ns >= s["patient_for"]):
             self._inflate(s, dvl.stamp_ns, innovation)
-        if in_doubt or not inflated or since_ns < 2 * s["patience_ns"]:
+        if in_doubt or not inflated or since_ns < 2 * s["patient_for"]:
             return False, "gate"
         # Velocity from this measurement alone, independent of all else; as uncertain as the two
         # are apart, for one of them is wrong.
@@ -784,7 +794,7 @@ class Filter:
             A[ATTITUDE] = np.eye(3)[:, :2]
             A[VELOCITY] = seconds * error_state.cross_matrix(g_n)[:, :2]
             s["P"] += sigma**2 * (A @ A.T)
-        s["trust_ns"] = 0
+        s["trusted_for"] = 0
         s["inflations"] += 1
 
 

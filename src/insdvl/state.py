@@ -69,12 +69,12 @@ def state_type(n: int, window: int) -> np.dtype[np.void]:
             ("dvl_ns", "i8"),
             ("accepted_ns", "i8"),
             ("v_d", "f8", (3,)),
-            ("left", "f8", (3,)),  # innovation that the last accepted one left, nan before it
+            ("left", "f8", (3,)),  # innovation that the last accepted one left
             # Gate: for how long the DVL has borne the filter out [ns], rejections in a row, for how
             # long they may go on [ns], stamps of the first and of the last
-            ("trust_ns", "i8"),
+            ("trusted_for", "i8"),
             ("rejections", "i8"),
-            ("patience_ns", "i8"),
+            ("patient_for", "i8"),
             ("rejected_from_ns", "i8"),
             ("rejected_ns", "i8"),
             # Innovation and stamp of the last of them that was surely an error of the DVL
@@ -132,7 +132,7 @@ def empty_state(n: int, window: int) -> NDArray[np.void]:
     )
     for name in stamps:
         states[name] = NEVER
-    for name in ("lat_0", "lon_0", "h_0", "v_d", "left"):
+    for name in ("lat_0", "lon_0", "h_0", "v_d"):
         states[name] = np.nan
     return states
 

@@ -58,6 +58,7 @@ def fly(
     *,
     seed: int = SEED,
     without: int | None = None,
+    R: np.ndarray | None = None,
 ) -> FoldResult:
     """Start with an error drawn from P_0; take ``v_d`` (M, 3) as the pings, less one of them."""
     rng = np.random.default_rng([seed, 1])
@@ -71,7 +72,7 @@ def fly(
         v=C.T @ m.initial.v_n[0] - initial.velocity_std * rng.standard_normal(3),
         velocity_frame="body",
     )
-    pings = [Dvl(t, v) for t, v in zip(m.dvl_stamps_ns.tolist(), v_d, strict=True)]
+    pings = [Dvl(t, v, R) for t, v in zip(m.dvl_stamps_ns.tolist(), v_d, strict=True)]
     if without is not None:
         del pings[without]
     return run(settings, m.stamps_ns, m.f_b, m.w_ib_b, [start, *pings])
@@ -406,3 +407,13 @@ def test_an_outage_is_covered_and_left_smoothly(outage: float) -> None:
     for total in (sum(nees), sum(nis)):
         assert chi2.ppf(0.0005, 3 * RUNS) < total < chi2.isf(0.0005, 3 * RUNS)
     assert max(worst) < 5.5
+
+
+def test_a_covariance_without_an_inverse_can_be_used() -> None:
+    m = mission(duration=30.0)
+    v_d = m.v_d.copy()
+    v_d[:, 1] = np.einsum("kji,kj->ki", m.truth.C_n_b, m.truth.v_n)[99::100, 1]
+    v_d[12] += 10.0
+    result = fly(parameters(), m, v_d, R=np.diag([DVL_STD**2, 0.0, DVL_STD**2]))
+    assert [k for k, u in enumerate(result.updates) if not u.report.accepted] == [12]
+    assert np.isfinite(result.states["P"]).all()

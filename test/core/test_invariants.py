@@ -136,6 +136,8 @@ def streams(draw: st.DrawFn) -> Stream:
             gyroscope_variance=(draw(variances),) * 3,
             accelerometer_bias_walk=draw(walks),
             gyroscope_bias_walk=draw(walks),
+            accelerometer_floor=0.0,
+            gyroscope_floor=0.0,
         ),
         initial=InitialParameters(
             mode="set_odometry",
