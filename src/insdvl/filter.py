@@ -48,9 +48,9 @@ LEAST_PATIENCE_NS = 5 * NS
 LARGEST_TILT_DOUBT = 0.5
 
 
-#: An update is iterated while h bends by more than a tenth of the mean sigma of R, but not
-#: for ever: each iteration leaves a fraction.
-_BEND = 0.1**2
+#: An update is iterated while h bends by more than the mean sigma of R, but not for ever: each
+#: iteration leaves a fraction.
+_BEND = 1.0  # (sigma)^2
 _ITERATIONS = 10
 
 
