@@ -49,7 +49,7 @@ PLANS: Mapping[str, Plan] = {
 }
 ACCURACY, WINDOW, VEHICLE = "q-accuracy", "window", "vehicle"
 PARTS = (ACCURACY, *PLANS, WINDOW, VEHICLE)
-_WINDOW_RUNS = 40
+_WINDOW_RUNS = 10
 _RECORDING_RUNS, _RECORDING_TUNING_RUNS = 10, 3  # of each recording and injection
 
 
