@@ -613,7 +613,7 @@ class Filter:
         of a turn psi and a change of velocity dv is missed. Where what is left of the innovation is
         not what a linear h leaves, the update is iterated from the same prior with h at the
         corrected state (Gauss-Newton; Bell and Cathey, IEEE Transactions on Automatic Control
-        38(2), 1993).
+        38(2), 1993). `ned` is the published filter, and corrects once.
         """
         w, prior = self._workspace[0], state.copy()
         P = prior[0]["P"]
@@ -630,11 +630,10 @@ class Filter:
             size = bend @ bend / (np.trace(R) / 3.0)
             if size < smallest:  # should the iteration lead away, the best correction stands
                 smallest, corrected, used = size, state.copy(), (H, K, T)
-            if size < _BEND or not np.isfinite(size):
+            if size < _BEND or not np.isfinite(size) or not self.invariant:
                 break
-            if self.invariant:
-                T = np.eye(self.n)
-                T[VELOCITY, ATTITUDE] = error_state.cross_matrix(dx[VELOCITY])
+            T = np.eye(self.n)
+            T[VELOCITY, ATTITUDE] = error_state.cross_matrix(dx[VELOCITY])
             H = w["H"] @ T
             S = H @ P @ H.T + R
             if not np.linalg.det(S) > 0.0:  # lost in rounding
