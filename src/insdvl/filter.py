@@ -41,12 +41,16 @@ Records = NDArray[np.void]
 
 #: A measurement whose NIS is so many times the gate's limit is surely an error of the DVL.
 FAULT = 1.5
-#: So long [ns] any filter may reject in a row; a longer interval between measurements bears nothing
-#: out.
+#: A trusted filter may reject for so long [ns] what need not be an error of the DVL; a longer
+#: interval between measurements bears nothing out.
 LEAST_PATIENCE_NS = 5 * NS
+#: A running mean of the NIS, over so many measurements, that a filter of honest covariance has
+#: above the limit once in 10,000 measurements, and one of half the covariance in every fifth.
+NIS_MEMORY, NIS_LIMIT = 5.0, 7.0
+#: So many steps of the rejected innovations one after the other show that the filter wanders.
+WANDERING = 2
 #: Most tilt, one sigma [rad], that an inflation takes for possible.
 LARGEST_TILT_DOUBT = 0.5
-
 
 #: An update is iterated while h bends by more than the mean sigma of R, but not for ever: each
 #: iteration leaves a fraction.
@@ -465,6 +469,7 @@ class Filter:
             s["imu_ns"] = stamp_ns  # samples are missing from here on: a long wait is a gap
         s["time_ns"], s["initialised"] = stamp_ns, 1
         s["innovation_count"], s["Q_x"], s["trusted_for"] = 0, 0.0, 0
+        s["nis"] = 3.0
         self._trust_dvl(s)
         # What a channel has not shown before is in the state that was told.
         s["unseen_ns"], s["equal_ns"] = NEVER, np.maximum(s["equal_ns"], stamp_ns)
@@ -601,6 +606,7 @@ class Filter:
                 s["P"] = variational(s["P"], w["H"], R, innovation, self.process_noise.tau)
                 _innovate(state, self._workspace, self.constants, dvl.v_d, w_ib_b, R)
             K = self._correct(state, dvl, w_ib_b, R)
+            s["nis"] += (nis - s["nis"]) / NIS_MEMORY
             self._accepted(s, dvl.stamp_ns)
             self.process_noise.innovated(s, K, innovation)
         s["dvl_ns"] = dvl.stamp_ns
@@ -713,20 +719,39 @@ class Filter:
         # The last term, far below all noise, gives an R that is singular an inverse.
         return 2.0 * R + C_n_d.T @ drift @ C_n_d + 1e-9 * np.trace(R) * np.eye(3)
 
+    def _is_step(self, s: State, step: Array, interval_ns: int, R: Array) -> bool:
+        """Whether two innovations, nothing corrected in between, differ by what the IMU missed."""
+        S_step = self._step_covariance(s, interval_ns, R)
+        return bool(step @ np.linalg.solve(S_step, step) > self._gate)
+
     def _patience(self, s: State, stamp_ns: int, innovation: Array, R: Array) -> int:
         """How long [ns] the filter may reject from this measurement on.
 
         A step that the IMU did not see is the DVL's, and then as long as the DVL has borne the
         filter out before. Else the filter has drifted, or its own covariance is wrong.
         """
-        least_ns = min(LEAST_PATIENCE_NS, self._patience_ns)
-        if s["accepted_ns"] == NEVER:
-            return least_ns
-        step = innovation - s["left"]
-        S_step = self._step_covariance(s, stamp_ns - int(s["accepted_ns"]), R)
-        if step @ np.linalg.solve(S_step, step) <= self._gate:
-            return least_ns
-        return max(least_ns, int(s["trusted_for"]))
+        if s["accepted_ns"] != NEVER:
+            interval_ns = stamp_ns - int(s["accepted_ns"])
+            if self._is_step(s, innovation - s["left"], interval_ns, R):
+                return int(s["trusted_for"])
+        return self._least_patience(s)
+
+    def _wanders(self, s: State, stamp_ns: int, innovation: Array, R: Array) -> bool:
+        """Whether the innovations go away step by step: then it is the filter that goes.
+
+        An error of the DVL that goes on would repeat itself, and outliers, each for itself, would
+        be as far from each other as from the truth.
+        """
+        step = innovation - s["rejected"]
+        small = np.linalg.norm(step) < np.linalg.norm(innovation) / 3.0
+        if small and self._is_step(s, step, stamp_ns - int(s["rejected_ns"]), R):
+            s["wandered"] += 1
+        return bool(s["wandered"] >= WANDERING)
+
+    @staticmethod
+    def _least_patience(s: State) -> int:
+        """How long [ns] the filter may reject when it may be wrong itself."""
+        return min(LEAST_PATIENCE_NS, int(s["trusted_for"]))
 
     def _accepted(self, s: State, stamp_ns: int) -> None:
         if s["accepted_ns"] != NEVER:
@@ -734,23 +759,30 @@ class Filter:
             steady = since_ns <= LEAST_PATIENCE_NS and not s["rejections"]
             # What was contradicted, or not looked at, counts double against the filter.
             trust_ns = int(s["trusted_for"]) + (since_ns if steady else -2 * since_ns)
-            s["trusted_for"] = 0 if self._in_doubt(s) else min(max(trust_ns, 0), self._patience_ns)
+            honest = s["nis"] <= NIS_LIMIT and not self._in_doubt(s)
+            s["trusted_for"] = min(max(trust_ns, 0), self._patience_ns) if honest else 0
         s["accepted_ns"] = stamp_ns
         self._trust_dvl(s)
 
     def _trust_dvl(self, s: State) -> None:
-        s["rejections"] = 0
+        s["rejections"] = s["wandered"] = 0
         s["rejected_from_ns"] = s["rejected_ns"] = s["fault_ns"] = NEVER
 
     def _recover(self, s: State, dvl: Dvl, innovation: Array, R: Array) -> tuple[bool, str]:
-        """Reject, but not for ever: inflate the velocity covariance, then restart the velocity."""
+        """Reject, but not for ever: inflate the velocity covariance, then restart the velocity.
+
+        A filter that nothing has borne out yet, or whose NIS say that it is too sure of itself,
+        does not reject at all: its velocity starts again from what does not fit.
+        """
         if s["rejections"] == 0:
             s["rejected_from_ns"] = s["rejected_ns"] = dvl.stamp_ns
             s["patient_for"] = self._patience(s, dvl.stamp_ns, innovation, R)
         since_ns = dvl.stamp_ns - int(s["rejected_from_ns"])
+        if s["rejections"] and self._wanders(s, dvl.stamp_ns, innovation, R):
+            s["patient_for"] = min(int(s["patient_for"]), since_ns)
         inflated = s["rejected_ns"] - s["rejected_from_ns"] >= s["patient_for"]
         s["rejections"] += 1
-        s["rejected_ns"] = dvl.stamp_ns
+        s["rejected"], s["rejected_ns"] = innovation, dvl.stamp_ns
         # An IMU that is in doubt itself has no patience to ask for.
         in_doubt = self._in_doubt(s)
         if in_doubt or (not inflated and since_ns >= s["patient_for"]):

@@ -40,6 +40,9 @@ JUMP_SAMPLES = 10
 GAP_SAMPLES = 2
 #: Samples of one run are no farther apart than this, or imu.max_gap where that is longer.
 RUN_GAP_NS = NS
+#: So many samples may be on their way to the filter (of one that is starved, in the queues of
+#: sender and receiver) while what was measured with the newest of them is there already.
+MAX_QUEUE = 10_000
 #: Most events that are kept as suspects, and of each kind before the first sample.
 MAX_SUSPECTS = 1000
 MAX_WAITING = 1000
@@ -145,6 +148,8 @@ class Fold:
         self._gyro_average_ns = round(parameters.dvl.gyro_average * NS)
         self._jump_limit_ns = round(parameters.jump_limit * NS)
         max_gap_ns = round(parameters.imu.max_gap * NS)
+        # What is not a sample may be ahead of them by so much.
+        self._ahead_ns = max(self._jump_limit_ns, round(MAX_QUEUE / parameters.imu.rate * NS))
         self._near_ns = max(self._max_delay_ns, max_gap_ns)  # samples as near are of one time
         self._run_gap_ns = max(RUN_GAP_NS, max_gap_ns)
         self._capacity = capacity
@@ -206,17 +211,18 @@ class Fold:
         Returns:
             None, or why it was not used: ``not_finite``, ``out_of_range`` (beyond all that is
             physical, see `events.refusal`), ``too_late`` (older than the newest sample by more than
-            max_delay), ``far_ahead`` (of it by more than jump_limit, and a sample behind a gap
-            longer than max_delay until the next one confirms it), ``duplicate`` (of one stamp and
-            kind, the event with the smallest payload counts, whichever comes first). What was too
-            late or far ahead may be used after all: then it is counted as ``recovered``.
+            max_delay), ``far_ahead`` (a sample of it by more than jump_limit, all else by more than
+            that and than `MAX_QUEUE` samples take, and a sample behind a gap longer than max_delay
+            until the next one confirms it), ``duplicate`` (of one stamp and kind, the event with
+            the smallest payload counts, whichever comes first). What was too late or far ahead may
+            be used after all: then it is counted as ``recovered``.
         """
         reason = refusal(event)
         if reason is not None:
             return reason
         if self._count:
             ahead_ns = event.stamp_ns - self.newest_ns
-            limit_ns = self._near_ns if isinstance(event, Imu) else self._jump_limit_ns
+            limit_ns = self._near_ns if isinstance(event, Imu) else self._ahead_ns
             if ahead_ns < -self._max_delay_ns:
                 return self._suspect(event, "too_late")
             if ahead_ns > limit_ns:
@@ -268,7 +274,7 @@ class Fold:
         """Insert those events that are of the run's time; returns their number."""
         count = 0
         for event in candidates:
-            last_ns = run.last_ns + (0 if isinstance(event, Imu) else self._jump_limit_ns)
+            last_ns = run.last_ns + (0 if isinstance(event, Imu) else self._ahead_ns)
             if run.first_ns - self._max_delay_ns <= event.stamp_ns <= last_ns:
                 self._insert(event)
                 count += 1

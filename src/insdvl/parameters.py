@@ -263,7 +263,12 @@ class ImuParameters:
         length=3,
     )
     lever_arm: tuple[float, ...] = parameter(
-        (0.0, 0.0, 0.0), "Position of the IMU in base_link.", unit="m", length=3
+        (0.0, 0.0, 0.0),
+        "Position of the IMU in base_link.",
+        unit="m",
+        low=-1000.0,
+        high=1000.0,
+        length=3,
     )
     frame_id: str = parameter(
         "", "A sample of any other frame_id is refused as 'wrong_frame'; empty for any."
@@ -317,7 +322,12 @@ class DvlParameters:
         length=3,
     )
     lever_arm: tuple[float, ...] = parameter(
-        (0.0, 0.0, 0.0), "Position of the DVL in base_link.", unit="m", length=3
+        (0.0, 0.0, 0.0),
+        "Position of the DVL in base_link.",
+        unit="m",
+        low=-1000.0,
+        high=1000.0,
+        length=3,
     )
     noise_std: tuple[float, ...] = parameter(
         (0.1, 0.1, 0.1),
@@ -365,9 +375,8 @@ class GateParameters:
     max_rejection_time: float = parameter(
         60.0,
         "When nothing but rejections came for this time (in stamps), or for as long as the DVL has "
-        "borne the filter out before if that is shorter, but at least 5 s, the covariance of "
-        "velocity and tilt is inflated; after twice the time the velocity is initialised again "
-        "from the DVL.",
+        "borne the filter out before if that is shorter, the covariance of velocity and tilt is "
+        "inflated; after twice the time the velocity is initialised again from the DVL.",
         unit="s",
         above=0.0,
         high=3600.0,
@@ -584,7 +593,8 @@ class FilterParameters:
     jump_limit: float = parameter(
         30.0,
         "An IMU stamp that is ahead of the newest by more than this, or older than max_delay, is "
-        "of another time; ten such samples in a row are a time jump.",
+        "of another time; ten such samples in a row are a time jump. Other messages may be ahead "
+        "by as much, or by what 10,000 samples take where that is longer.",
         unit="s",
         low=1.0,
         high=3600.0,
@@ -807,7 +817,12 @@ class SimulatedDvlParameters:
         length=3,
     )
     lever_arm: tuple[float, ...] = parameter(
-        (0.0, 0.0, 0.0), "Position of the DVL in base_link.", unit="m", length=3
+        (0.0, 0.0, 0.0),
+        "Position of the DVL in base_link.",
+        unit="m",
+        low=-1000.0,
+        high=1000.0,
+        length=3,
     )
     noise_std: tuple[float, ...] = parameter(
         (0.1, 0.1, 0.1),

@@ -70,13 +70,17 @@ def state_type(n: int, window: int) -> np.dtype[np.void]:
             ("accepted_ns", "i8"),
             ("v_d", "f8", (3,)),
             ("left", "f8", (3,)),  # innovation that the last accepted one left
+            ("nis", "f8"),  # running mean over those accepted
             # Gate: for how long the DVL has borne the filter out [ns], rejections in a row, for how
-            # long they may go on [ns], stamps of the first and of the last
+            # long they may go on [ns], stamps of the first and of the last, innovation of the last,
+            # and for how many of them the innovation has wandered
             ("trusted_for", "i8"),
             ("rejections", "i8"),
             ("patient_for", "i8"),
             ("rejected_from_ns", "i8"),
             ("rejected_ns", "i8"),
+            ("rejected", "f8", (3,)),
+            ("wandered", "i8"),
             # Innovation and stamp of the last of them that was surely an error of the DVL
             ("fault", "f8", (3,)),
             ("fault_ns", "i8"),

@@ -21,7 +21,7 @@ from insdvl.parameters import (
 )
 from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.mission import ImuModel, Mission, simulate
-from insdvl.simulation.noise import constant
+from insdvl.simulation.noise import constant, segments
 from insdvl.simulation.trajectories import AUV
 
 SEED = 161_803
@@ -235,6 +235,23 @@ def test_a_disabled_gate_accepts_everything() -> None:
     result = fly(parameters(enabled=False), m, m.v_d + np.array([50.0, 0.0, 0.0]))
     assert all(u.report.accepted for u in result.updates)
     assert result.updates[0].report.nis > 1e3
+
+
+def test_a_filter_that_is_far_too_sure_of_itself_is_not_lost() -> None:
+    """The true variances change between a tenth and fifty times those that the filter believes."""
+    believed = ProcessNoiseParameters(
+        accelerometer_variance=(0.01,) * 3, gyroscope_variance=(0.001,) * 3
+    )
+    lost = 0
+    for seed in range(SEED, SEED + RUNS // 2):
+        m = simulate(AUV, segments(1e-3, 0.05), seed=seed, imu=IMU)
+        settings = replace(
+            parameters(max_rejection_time=60.0), dvl=DvlParameters(), process_noise=believed
+        )
+        result = fly(settings, m, m.v_d, seed=seed)
+        error = np.linalg.norm(body_velocity_error(result, m), axis=1)
+        lost += bool((np.convolve(error > 5.0, np.ones(1000)) >= 999.5).any())  # 10 s in a row
+    assert lost <= 1
 
 
 # ------------------------------------------------------------------ a DVL that is at fault

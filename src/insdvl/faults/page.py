@@ -239,8 +239,12 @@ _CORE = """
 ### The core alone
 
 The same mission, message by message through `Inputs`, `Fold` and `Tuner` in one process; the
-seconds are theirs, without making the messages.
+seconds are theirs, without making the messages. After every DVL update: the largest asymmetry of P
+and the smallest eigenvalue, both of its correlations, and the largest element of $|C^T C - I|$.
 """
+
+
+_NUMBERS = ("asymmetry", "smallest_eigenvalue", "orthonormality")
 
 
 def _core(hours: Sequence[Mapping[str, Any]]) -> str:
@@ -252,6 +256,9 @@ def _core(hours: Sequence[Mapping[str, Any]]) -> str:
         "memory [MB]",
         "NIS",
         "velocity RMSE [m/s]",
+        "asymmetry",
+        "smallest eigenvalue",
+        "orthonormality",
     )
     rows = [
         [
@@ -262,6 +269,7 @@ def _core(hours: Sequence[Mapping[str, Any]]) -> str:
             f"{hour['memory']:.1f}",
             number(hour["nis"], 3),
             number(hour["body_velocity_rmse"], 3),
+            *(f"{hour[name]:.1e}" for name in _NUMBERS),
         ]
         for hour in hours
     ]

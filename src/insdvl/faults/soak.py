@@ -24,6 +24,7 @@ from insdvl.parameters import FilterParameters, TunerParameters, build
 from insdvl.simulation.mission import ImuModel, Mission, simulate
 from insdvl.simulation.noise import SCENARIOS
 from insdvl.simulation.trajectories import LOOP
+from insdvl.state import State
 from insdvl.tuner.tuner import Tuner
 
 Array = NDArray[np.float64]
@@ -70,6 +71,10 @@ class Hour:
         memory: Resident memory of the process at its end [MB].
         nis: Mean normalised innovation squared.
         body_velocity_rmse: [m/s].
+        asymmetry: Largest |P - P^T| after an update, relative to the standard deviations.
+        smallest_eigenvalue: Of the correlation matrix of P, after an update; P is positive definite
+            while this is above 0.
+        orthonormality: Largest element of |C^T C - I| after an update.
     """
 
     samples: int
@@ -78,6 +83,9 @@ class Hour:
     memory: float
     nis: float
     body_velocity_rmse: float
+    asymmetry: float
+    smallest_eigenvalue: float
+    orthonormality: float
 
 
 def run(hours: int, duration: float = LEG) -> Iterator[Hour]:
@@ -96,16 +104,19 @@ def run(hours: int, duration: float = LEG) -> Iterator[Hour]:
         k = outputs = 0
         squared, seconds = 0.0, 0.0
         nis: list[float] = []
+        numbers: list[tuple[float, float, float]] = []
         for arrival in _arrivals(mission):
             begin = time.perf_counter()
             for output in _taken(arrival, fold, inputs, tuner):
                 if isinstance(output, AppliedUpdate):
                     nis.append(output.report.nis)
+                    numbers.append(_health(fold.states[-1]))
                     continue
                 error = output.twist_linear - v_b[k]
                 squared += float(error @ error)
                 outputs, k = outputs + 1, k + 1
             seconds += time.perf_counter() - begin
+        asymmetry, eigenvalue, orthonormality = np.array(numbers).T
         yield Hour(
             samples=mission.stamps_ns.size,
             outputs=outputs,
@@ -113,7 +124,22 @@ def run(hours: int, duration: float = LEG) -> Iterator[Hour]:
             memory=_memory(),
             nis=float(np.mean(nis)),
             body_velocity_rmse=float(np.sqrt(squared / max(outputs, 1))),
+            asymmetry=float(asymmetry.max()),
+            smallest_eigenvalue=float(eigenvalue.min()),
+            orthonormality=float(orthonormality.max()),
         )
+
+
+def _health(state: State) -> tuple[float, float, float]:
+    """Asymmetry, smallest eigenvalue of the correlations, and orthonormality, see `Hour`."""
+    P, C = state["P"], state["C_n_b"]
+    sigma = np.sqrt(np.diag(P))
+    correlation = P / np.outer(sigma, sigma)
+    return (
+        float(np.abs(correlation - correlation.T).max()),
+        float(np.linalg.eigvalsh(correlation)[0]),
+        float(np.abs(C.T @ C - np.eye(3)).max()),
+    )
 
 
 def _taken(arrival: Arrival, fold: Fold, inputs: Inputs, tuner: Tuner) -> list[Any]:
