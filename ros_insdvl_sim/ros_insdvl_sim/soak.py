@@ -74,16 +74,24 @@ class Recorder:
         """Begin a leg."""
         self._heard: dict[int, float] = {}
         self._truth: dict[int, bytes] = {}
+        self._first = self._last = (0, 0.0)  # stamp and time of the wall
         self.stamps_ns: list[int] = []
         self.latencies: list[float] = []
         self.nis: list[float] = []
         self.errors: list[float] = []
 
     def _on_truth(self, data: bytes) -> None:
-        stamp_ns = stamp_of(data)
-        self._heard[stamp_ns] = time.monotonic()
+        stamp_ns, now = stamp_of(data), time.monotonic()
+        self._heard[stamp_ns], self._last = now, (stamp_ns, now)
+        if not self._first[0]:
+            self._first = self._last
         if stamp_ns % NS == 0:
             self._truth[stamp_ns] = data
+
+    def speed(self) -> float:
+        """Of the mission against real time, from the first message to the last."""
+        stamp_ns, now = np.subtract(self._last, self._first)
+        return float(stamp_ns / NS / now) if now else 0.0
 
     def _on_odometry(self, data: bytes) -> None:
         """The truth of a stamp is sent with the sample: the rest is what the filter took."""
@@ -164,15 +172,11 @@ class Graph:
             },
         )
         looks: list[tuple[float, ...]] = []
-        first = None
         while self.processes.process(name).poll() is None:
             witness.spin(LOOK_PERIOD if duration > 600.0 else 0.2)
             self.processes.check("filter", "tuner")
-            if first is None and recorder.latencies:
-                first = time.monotonic()
-            if first is not None:
+            if recorder.latencies:
                 looks.append((time.monotonic(), *(self._memory(n) for n in CONSUMERS)))
-        took = time.monotonic() - (first or begin)
         if self.processes.process(name).returncode != 0:
             raise HarnessError(f"the simulator ended badly: {self.processes.text(name)[-300:]}")
         sent = sent_by(self.processes.text(name))
@@ -183,12 +187,12 @@ class Graph:
             "leg": number,
             "mission": duration,
             "rate_factor": self.rate_factor,
-            "held": duration / self.rate_factor / took,
+            "held": recorder.speed() / self.rate_factor,
             "wall": round(time.monotonic() - begin, 1),
             "life_of_filter": round(time.monotonic() - self.began, 1),
             "legs_of_filter": self.legs,
             "messages": self._messages(sent, counts),
-            "memory": self._memory_of(np.array(looks), took),
+            "memory": self._memory_of(np.array(looks)),
             "latency": self._latency(number, duration),
             "nis": _mean(recorder.nis),
             "body_velocity_rmse": float(np.sqrt(_mean(recorder.errors) or np.nan)),
@@ -227,7 +231,7 @@ class Graph:
             for consumer, topic, n, received in rows
         ]
 
-    def _memory_of(self, looks: Array, took: float) -> dict[str, Any]:
+    def _memory_of(self, looks: Array) -> dict[str, Any]:
         """Of each process: at the beginning, the end and the most [MB], and the slope.
 
         The slope is of a line through the second half [MB per hour of mission].
@@ -257,11 +261,6 @@ class Graph:
             p50, p99 = np.percentile(inside, [50, 99]) if inside.size else (np.nan, np.nan)
             parts.append({"p50": float(p50), "p99": float(p99)})
         return parts
-
-
-def _velocity(data: bytes) -> Array:
-    v = deserialize_message(data, Odometry).twist.twist.linear
-    return np.array([v.x, v.y, v.z])
 
 
 def _mean(values: list[float]) -> float | None:
