@@ -10,8 +10,6 @@ import argparse
 import json
 import math
 import os
-import signal
-import subprocess
 import sys
 import time
 from collections import Counter
@@ -24,20 +22,16 @@ from typing import Any
 import numpy as np
 import rclpy
 import yaml
-from ament_index_python.packages import (
-    PackageNotFoundError,
-    get_package_prefix,
-    get_package_share_directory,
-)
+from ament_index_python.packages import get_package_prefix
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message, serialize_message
 from scipy.spatial.transform import Rotation
 
 from insdvl import files
-from insdvl.bags import BagError, BagWriter, Raw
+from insdvl.bags import BagWriter, Raw
 from insdvl.evaluation import plots
 from insdvl.evaluation.metrics import Scores, Track, scores
 from insdvl.events import NS
@@ -46,6 +40,20 @@ from insdvl.parameters import FilterParameters
 from insdvl.simulation.trajectories import trajectory_named
 from ros_insdvl.monitor import Monitor, OdometrySeries
 from ros_insdvl.node import publisher_qos, subscribe
+from ros_insdvl_sim.harness import (
+    DEPTH,
+    DVL,
+    FILTER,
+    IMU,
+    SIMULATOR,
+    TUNER,
+    HarnessError,
+    Processes,
+    environment,
+    guarded,
+    lossless,
+    sent_by,
+)
 
 Array = NDArray[np.float64]
 
@@ -53,6 +61,7 @@ SCENARIOS = ("constant", "constant-tableI", "varying", "wide")
 TRAJECTORY = "auv"
 IMU_RATE = 100.0  # Hz
 FILTERS = ("/constant", "/learned")
+CONSUMERS = ("tuner", "constant", "learned")  # processes
 
 #: Speed against real time that leaves two cores some room (the graph then uses about 75 % of them;
 #: at 11 it loses messages), on a machine that serialises and deserialises an odometry message in
@@ -60,7 +69,6 @@ FILTERS = ("/constant", "/learned")
 FULL_SPEED = 7.0
 REFERENCE_MESSAGE_TIME = 90e-6  # s
 
-DEPTH = 4500  # messages that may wait for a consumer
 RECORDING_SPEED = 0.6  # of the speed without a recorder, which takes as much as all else
 
 OUTPUT_DELAY = 2.0  # s, of the filters' odometry
@@ -86,10 +94,6 @@ RECORDED = {
 }
 
 
-class DemoError(RuntimeError):
-    """The demo cannot go on; the message says why."""
-
-
 @dataclass(frozen=True)
 class Count:
     """Messages of a topic that a node sent, and those that one consumer received."""
@@ -98,29 +102,6 @@ class Count:
     topic: str
     sent: int
     received: int
-
-
-def environment() -> dict[str, str]:
-    """What the processes of the demo, and a second terminal, need in their environment.
-
-    Raises:
-        DemoError: The packages are not installed where the environment points to.
-    """
-    try:
-        profile = Path(get_package_share_directory("ros_insdvl")) / "config/fastdds_localhost.xml"
-    except (PackageNotFoundError, LookupError) as error:
-        raise DemoError(
-            f"the package ros_insdvl is not in AMENT_PREFIX_PATH "
-            f"({os.environ.get('AMENT_PREFIX_PATH', 'not set')})"
-        ) from error
-    variables = {
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "FASTRTPS_DEFAULT_PROFILES_FILE": str(profile),
-    }
-    for name in ("ROS_DOMAIN_ID", "RMW_IMPLEMENTATION", "FASTRTPS_DEFAULT_PROFILES_FILE"):
-        if name in os.environ:
-            variables[name] = os.environ[name]
-    return variables
 
 
 def choose_rate_factor() -> float:
@@ -163,94 +144,9 @@ def initial_parameters(seed: int) -> dict[str, Any]:
     }
 
 
-class Graph:
-    """The processes of the demo, each with a log file."""
-
-    def __init__(self, logs: Path) -> None:
-        self._logs = logs
-        self._processes: dict[str, subprocess.Popen[bytes]] = {}
-
-    def start(self, name: str, package: str, executable: str, arguments: list[str]) -> None:
-        """Start an installed executable.
-
-        Raises:
-            DemoError: It is not installed.
-        """
-        try:
-            path = Path(get_package_prefix(package)) / "lib" / package / executable
-        except PackageNotFoundError as error:
-            raise DemoError(f"the package {package} is not installed: {error}") from error
-        if not path.is_file():
-            raise DemoError(f"{path} is not installed")
-        with self.log(name).open("wb") as log:
-            self._processes[name] = subprocess.Popen(
-                [str(path), "--ros-args", *arguments],
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-            )
-
-    def log(self, name: str) -> Path:
-        """Log file of a process."""
-        return self._logs / f"{name}.log"
-
-    def exit_code(self, name: str) -> int | None:
-        """Exit code of a process, None while it runs."""
-        return self._processes[name].poll()
-
-    def check(self, may_finish: tuple[str, ...] = ()) -> None:
-        """Check that all processes live, or have finished well where they may.
-
-        Raises:
-            DemoError: One died.
-        """
-        for name, process in self._processes.items():
-            code = process.poll()
-            if code is not None and (code != 0 or name not in may_finish):
-                tail = self.log(name).read_text(errors="replace").strip().splitlines()[-5:]
-                raise DemoError(f"{name} ended with exit code {code}:\n  " + "\n  ".join(tail))
-
-    def stop(self) -> dict[str, int]:
-        """End all processes, first kindly; returns their exit codes."""
-        for kind, patience in ((signal.SIGINT, 8.0), (signal.SIGTERM, 4.0), (signal.SIGKILL, 4.0)):
-            running = [p for p in self._processes.values() if p.poll() is None]
-            for process in running:
-                process.send_signal(kind)
-            deadline = time.monotonic() + patience
-            for process in running:
-                try:
-                    process.wait(max(deadline - time.monotonic(), 0.01))
-                except subprocess.TimeoutExpired:
-                    continue
-        return {name: process.wait() for name, process in self._processes.items()}
-
-
-def lossless(*topics: str) -> dict[str, Any]:
-    """Parameters of subscriptions that lose nothing while a consumer is seconds behind.
-
-    The depth stays below what Fast DDS keeps for a reader (5000): a reader that is full refuses
-    messages, and the sender repeats them until the machine does little else.
-    """
-    values: dict[str, Any] = {}
-    for topic in topics:
-        values[f"qos_overrides.{topic}.subscription.reliability"] = "reliable"
-        values[f"qos_overrides.{topic}.subscription.depth"] = DEPTH
-    return values
-
-
-def arguments_of(values: Mapping[str, Any], remaps: Mapping[str, str]) -> list[str]:
-    """ROS arguments from parameters and remaps."""
-    arguments = []
-    for name, value in values.items():
-        arguments += ["-p", f"{name}:={json.dumps(value)}"]
-    for origin, target in remaps.items():
-        arguments += ["-r", f"{origin}:={target}"]
-    return arguments
-
-
-def start_consumers(graph: Graph, out: Path, initial: Mapping[str, Any]) -> None:
+def start_consumers(processes: Processes, out: Path, initial: Mapping[str, Any]) -> None:
     """Start the tuner and both filters; their parameters are saved for `insdvl replay`."""
-    graph.start("tuner", "ros_insdvl", "tuner", arguments_of(lossless("/imu/data_raw"), {}))
+    processes.start("tuner", TUNER, lossless(f"/{IMU}"))
     shared = ("imu/data_raw", "dvl/velocity", "dvl/velocity_cov", "process_noise")
     remaps = {topic: f"/{topic}" for topic in shared}
     for namespace, source in zip(FILTERS, ("constant", "external"), strict=True):
@@ -268,13 +164,16 @@ def start_consumers(graph: Graph, out: Path, initial: Mapping[str, Any]) -> None
         }
         document = {"/**/insdvl_filter": {"ros__parameters": section}}
         files.write(parameters, yaml.safe_dump(document, sort_keys=False).encode())
-        qos = lossless("/imu/data_raw", "/dvl/velocity")
-        arguments = ["--params-file", str(parameters)]
-        arguments += arguments_of(qos, {"__ns": namespace, **remaps})
-        graph.start(name, "ros_insdvl", "filter", arguments)
+        processes.start(
+            name,
+            FILTER,
+            lossless(f"/{IMU}", f"/{DVL}"),
+            {"__ns": namespace, **remaps},
+            parameter_file=parameters,
+        )
 
 
-def start_simulator(graph: Graph, options: argparse.Namespace, rate_factor: float) -> None:
+def start_simulator(processes: Processes, options: argparse.Namespace, rate_factor: float) -> None:
     """Start the simulator; it plays when the consumers of imu/data_raw are there."""
     consumers = len(FILTERS) + 1 + (options.record is not None)
     values = {
@@ -285,7 +184,7 @@ def start_simulator(graph: Graph, options: argparse.Namespace, rate_factor: floa
         "noise.profile": options.scenario,
         "min_subscribers": consumers,
     }
-    graph.start("simulator", "ros_insdvl_sim", "simulator", arguments_of(values, {}))
+    processes.start("simulator", SIMULATOR, values)
 
 
 class Listener:
@@ -354,11 +253,10 @@ class Listener:
             return int(values.get(node, {}).get(key, 0))
 
         q_sent = told("/insdvl_tuner", "sent process_noise")
-        imu, dvl = "imu/data_raw", "dvl/velocity"
-        add("tuner", imu, sent[imu], told("/insdvl_tuner", f"received {imu}"))
+        add("tuner", IMU, sent[IMU], told("/insdvl_tuner", f"received {IMU}"))
         for name in FILTERS:
             node = f"{name}/insdvl_filter"
-            for topic in (imu, dvl):
+            for topic in (IMU, DVL):
                 add(f"{name} filter", topic, sent[topic], told(node, f"received {topic}"))
         add(
             "/learned filter",
@@ -386,48 +284,43 @@ class Listener:
         return counts
 
 
-def wait_until_ready(graph: Graph, listener: Listener) -> None:
+def wait_until_ready(processes: Processes, listener: Listener) -> None:
     """Wait for the consumers, then make sure that nobody else publishes for them.
 
     Raises:
-        DemoError: A process died, they do not come up, or there is another publisher.
+        HarnessError: A process died, they do not come up, or there is another publisher.
     """
     deadline = time.monotonic() + START_TIME
     while not listener.ready():
         listener.spin(0.05)
-        graph.check()
+        processes.check(*CONSUMERS)
         if time.monotonic() > deadline:
-            raise DemoError(f"not all nodes were there within {START_TIME:g} s")
+            raise HarnessError(f"not all nodes were there within {START_TIME:g} s")
     if listener.monitor.count_publishers("/imu/data_raw"):
-        raise DemoError(
+        raise HarnessError(
             "/imu/data_raw already has a publisher: the demo would mix with it; stop it, or choose "
             "another ROS_DOMAIN_ID"
         )
 
 
-def fly(graph: Graph, listener: Listener) -> dict[str, int]:
+def fly(processes: Processes, listener: Listener) -> dict[str, int]:
     """Let the mission run to its end; returns what the simulator sent, per topic.
 
     Raises:
-        DemoError: A process died.
+        HarnessError: A process died.
     """
-    while graph.exit_code("simulator") is None:
+    while not processes.finished("simulator"):
         listener.spin(0.2)
-        graph.check(may_finish=("simulator",))
-    graph.check(may_finish=("simulator",))
-    for line in graph.log("simulator").read_text(errors="replace").splitlines():
-        if line.startswith("sent: "):
-            pairs = (item.rsplit(" ", 1) for item in line.removeprefix("sent: ").split(", "))
-            return {topic: int(count) for topic, count in pairs}
-    raise DemoError("the simulator did not say what it sent")
+        processes.check(*CONSUMERS)
+    return sent_by(processes.text("simulator"))
 
 
-def collect(graph: Graph, listener: Listener, sent: Mapping[str, int]) -> list[Count]:
+def collect(processes: Processes, listener: Listener, sent: Mapping[str, int]) -> list[Count]:
     """Wait for the last messages, as long as there are new ones; returns the counts."""
     quiet_since, counts = time.monotonic(), listener.counts(sent)
     while any(c.sent != c.received for c in counts):
         listener.spin(0.1)
-        graph.check(may_finish=("simulator",))
+        processes.check(*CONSUMERS)
         newer = listener.counts(sent)
         if newer != counts:
             quiet_since, counts = time.monotonic(), newer
@@ -468,7 +361,7 @@ def evaluate(monitor: Monitor) -> Outcome:
     """Score both filters over all IMU stamps from when both are initialised.
 
     Raises:
-        DemoError: There is nothing to score.
+        HarnessError: There is nothing to score.
     """
     true_stamps, true_rows = monitor.truth.arrays()
     series = {w.label.strip("/"): w.series.arrays() for w in monitor.filters}
@@ -476,7 +369,7 @@ def evaluate(monitor: Monitor) -> Outcome:
     for filter_stamps, _ in series.values():
         stamps = np.intersect1d(stamps, filter_stamps)
     if stamps.size < 2:
-        raise DemoError("no stamps in common between the truth and the filters")
+        raise HarnessError("no stamps in common between the truth and the filters")
     start_ns = int(true_stamps[0])
     truth = track_of(true_rows[np.searchsorted(true_stamps, stamps)])
     results, scored = [], {}
@@ -572,23 +465,15 @@ def run_demo(options: argparse.Namespace) -> int:
     )
     print_second_terminal(variables)
 
-    graph = Graph(logs)
     rclpy.init(args=[])
-    codes: dict[str, int] = {}
-    try:
-        with recording(options.record) as writer:
-            listener = Listener(writer)
-            start_consumers(graph, out, initial_parameters(options.seed))
-            wait_until_ready(graph, listener)
-            start_simulator(graph, options, rate_factor)
-            sent = fly(graph, listener)
-            counts = collect(graph, listener, sent)
-    finally:
-        # Another Ctrl-C must not leave processes behind.
-        handlers = [(kind, signal.signal(kind, signal.SIG_IGN)) for kind in _INTERRUPTS]
-        codes = graph.stop()
-        for kind, handler in handlers:
-            signal.signal(kind, handler)
+    with Processes(logs) as processes, recording(options.record) as writer:
+        listener = Listener(writer)
+        start_consumers(processes, out, initial_parameters(options.seed))
+        wait_until_ready(processes, listener)
+        start_simulator(processes, options, rate_factor)
+        sent = fly(processes, listener)
+        counts = collect(processes, listener, sent)
+    codes = processes.stop()
     outcome = evaluate(listener.monitor)
     rejected = {w.label.strip("/"): w.rejected for w in listener.monitor.filters}
     listener.close()
@@ -622,13 +507,10 @@ def run_demo(options: argparse.Namespace) -> int:
     if options.record is not None:
         print(f"{listener.recorded.total()} messages in {options.record}")
     for name, code in died.items():
-        print(f"{name} ended with exit code {code}, see {graph.log(name)}", file=sys.stderr)
+        print(f"{name} ended with exit code {code}, see {processes.log(name)}", file=sys.stderr)
     if not complete:
         print("messages were lost", file=sys.stderr)
     return 0 if complete and not died else 1
-
-
-_INTERRUPTS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
@@ -660,20 +542,8 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
 def main() -> int:
     """Run the demo from the command line."""
     options = parse(None)
-
-    def interrupt(number: int, frame: Any) -> None:
-        raise KeyboardInterrupt
-
-    for kind in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(kind, interrupt)
     try:
-        return run_demo(options)
-    except (DemoError, BagError, OSError) as error:  # the last from --out that cannot be written
-        print(f"demo: {error}", file=sys.stderr)
-        return 1
-    except (KeyboardInterrupt, ExternalShutdownException):
-        print("demo: interrupted", file=sys.stderr)
-        return 130
+        return guarded("demo", lambda: run_demo(options), failed=1)
     finally:
         rclpy.try_shutdown()
 

@@ -16,7 +16,7 @@ from insdvl.faults import matrix, page, rows
 from insdvl.files import check_writable, json_text, write
 from insdvl.parallel import environment
 from ros_insdvl_sim import process_rows
-from ros_insdvl_sim.harness import HarnessError, isolate
+from ros_insdvl_sim.harness import guarded, isolate
 
 RATE_FACTOR = 4.0  # of the processes; low enough for a machine that does something else as well
 
@@ -53,6 +53,7 @@ def judged_processes(short: bool) -> Iterator[dict[str, Any]]:
 
 def run(options: argparse.Namespace) -> int:
     """Fly the rows and write numbers and page; the exit code is 1 where a row is not met."""
+    isolate()
     folder: Path = options.out / "reliability"
     folder.mkdir(parents=True, exist_ok=True)
     check_writable(options.out / "reliability.md", "--out")
@@ -107,15 +108,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
 def main() -> int:
     """Fly the fault matrix from the command line."""
     options = parse(None)
-    try:
-        isolate()
-        return run(options)
-    except (HarnessError, ValueError, OSError) as error:
-        print(f"faults: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("faults: interrupted", file=sys.stderr)
-        return 130
+    return guarded("faults", lambda: run(options), failed=2)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
-"""What the fault rows of processes and the soak share: processes, and a witness that listens."""
+"""What demo, fault rows and soak share: processes, and a witness that listens."""
 
+import json
 import os
 import signal
 import struct
@@ -7,31 +8,35 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 import rclpy
-from ament_index_python.packages import get_package_share_directory
+from ament_index_python.packages import (
+    PackageNotFoundError,
+    get_package_prefix,
+    get_package_share_directory,
+)
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
 from insdvl.events import NS
 from ros_insdvl.node import publisher_qos, subscribe
-from ros_insdvl_sim.demo import DEPTH, arguments_of
 
 PATIENCE = 300.0  # s of the wall that anything may take; without a cache, programs compile first
 QUIET_TIME = 3.0  # s of the wall without anything new after which nothing more comes
 
-FILTER, TUNER, SIMULATOR, RELAY = (
-    "ros_insdvl.filter",
-    "ros_insdvl.tuner",
-    "ros_insdvl_sim.simulator",
-    "ros_insdvl_sim.relay",
-)
+#: Package and executable.
+FILTER, TUNER = ("ros_insdvl", "filter"), ("ros_insdvl", "tuner")
+SIMULATOR, RELAY = ("ros_insdvl_sim", "simulator"), ("ros_insdvl_sim", "relay")
+DEPTH = 4500  # messages that may wait for a consumer
+
+IMU, DVL, Q = "imu/data_raw", "dvl/velocity", "process_noise"
 TRUTH, ODOMETRY, INNOVATION = "ground_truth/odometry", "odometry/filtered", "dvl/innovation"
 
 _STAMP = struct.Struct("<iI")  # of a header, behind the four bytes of encapsulation
@@ -41,13 +46,94 @@ class HarnessError(RuntimeError):
     """The graph cannot go on; the message says why."""
 
 
+def environment() -> dict[str, str]:
+    """What the processes of a graph on this machine, and a second terminal, need in theirs.
+
+    Raises:
+        HarnessError: The packages are not installed where the environment points to.
+    """
+    try:
+        profile = Path(get_package_share_directory("ros_insdvl")) / "config/fastdds_localhost.xml"
+    except (PackageNotFoundError, LookupError) as error:
+        raise HarnessError(
+            f"the package ros_insdvl is not in AMENT_PREFIX_PATH "
+            f"({os.environ.get('AMENT_PREFIX_PATH', 'not set')})"
+        ) from error
+    variables = {
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "FASTRTPS_DEFAULT_PROFILES_FILE": str(profile),
+    }
+    for name in ("ROS_DOMAIN_ID", "RMW_IMPLEMENTATION", "FASTRTPS_DEFAULT_PROFILES_FILE"):
+        if name in os.environ:
+            variables[name] = os.environ[name]
+    return variables
+
+
 def isolate() -> None:
-    """A ROS domain of our own, on this machine only, for this process and its children."""
+    """A ROS domain of our own, on this machine only, for this process and its children.
+
+    Raises:
+        HarnessError: As `environment`.
+    """
     os.environ.setdefault("ROS_DOMAIN_ID", "91")
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    if "FASTRTPS_DEFAULT_PROFILES_FILE" not in os.environ:
-        share = Path(get_package_share_directory("ros_insdvl"))
-        os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(share / "config/fastdds_localhost.xml")
+    os.environ.update(environment())
+
+
+def guarded(program: str, run: Callable[[], int], failed: int) -> int:
+    """Run a command to its exit code.
+
+    What it refuses is a line, with the code `failed`. SIGTERM and SIGHUP end it as Ctrl-C does, so
+    that its processes end with it.
+    """
+
+    def interrupt(number: int, frame: Any) -> None:
+        raise KeyboardInterrupt
+
+    for kind in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(kind, interrupt)
+    try:
+        return run()
+    except (HarnessError, ValueError, OSError) as error:  # the last of files
+        print(f"{program}: {error}", file=sys.stderr)
+        return failed
+    except (KeyboardInterrupt, ExternalShutdownException):
+        print(f"{program}: interrupted", file=sys.stderr)
+        return 130
+
+
+@contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Another Ctrl-C must not leave processes behind."""
+    kinds = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    handlers = [(kind, signal.signal(kind, signal.SIG_IGN)) for kind in kinds]
+    try:
+        yield
+    finally:
+        for kind, handler in handlers:
+            signal.signal(kind, handler)
+
+
+def lossless(*topics: str) -> dict[str, Any]:
+    """Parameters of subscriptions that lose nothing while a consumer is seconds behind.
+
+    The depth stays below what Fast DDS keeps for a reader (5000): a reader that is full refuses
+    messages, and the sender repeats them until the machine does little else.
+    """
+    values: dict[str, Any] = {}
+    for topic in topics:
+        values[f"qos_overrides.{topic}.subscription.reliability"] = "reliable"
+        values[f"qos_overrides.{topic}.subscription.depth"] = DEPTH
+    return values
+
+
+def _arguments(values: Mapping[str, Any], remaps: Mapping[str, str]) -> list[str]:
+    """ROS arguments from parameters and remaps."""
+    arguments = []
+    for name, value in values.items():
+        arguments += ["-p", f"{name}:={json.dumps(value)}"]
+    for origin, target in remaps.items():
+        arguments += ["-r", f"{origin}:={target}"]
+    return arguments
 
 
 def stamp_of(data: bytes) -> int:
@@ -166,16 +252,31 @@ class Processes:
     def start(
         self,
         name: str,
-        module: str,
+        program: tuple[str, str],
         parameters: Mapping[str, Any] | None = None,
         remaps: Mapping[str, str] | None = None,
+        *,
+        parameter_file: Path | None = None,
         environment: Mapping[str, str] | None = None,
     ) -> subprocess.Popen[bytes]:
-        """Start a program; a name that was used before goes on in its log."""
-        arguments = arguments_of(parameters or {}, remaps or {})
-        with self.log(name).open("ab") as log:
+        """Start an installed executable, as `ros2 run` does.
+
+        Args:
+            name: Of the process here; one that was used before goes on in its log.
+            program: Its package and the executable.
+            parameters: Of the node.
+            remaps: Of topics and node.
+            parameter_file: Of parameters, which those of `parameters` overrule.
+            environment: Beside that of this process.
+
+        Raises:
+            HarnessError: It is not installed.
+        """
+        arguments = [] if parameter_file is None else ["--params-file", str(parameter_file)]
+        arguments += _arguments(parameters or {}, remaps or {})
+        with self.log(name).open("ab" if name in self._processes else "wb") as log:
             self._processes[name] = subprocess.Popen(
-                [sys.executable, "-m", module, "--ros-args", *arguments],
+                [str(_installed(*program)), "--ros-args", *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
@@ -208,24 +309,52 @@ class Processes:
             HarnessError: One does not.
         """
         for name in names:
-            code = self._processes[name].poll()
-            if code is not None:
-                tail = self.text(name).strip().splitlines()[-5:]
-                raise HarnessError(f"{name} ended with {code}:\n  " + "\n  ".join(tail))
+            if self._processes[name].poll() is not None:
+                raise self._ended(name)
+
+    def finished(self, name: str) -> bool:
+        """Whether a process has come to its end.
+
+        Raises:
+            HarnessError: To a bad one.
+        """
+        if self._processes[name].poll():
+            raise self._ended(name)
+        return self._processes[name].returncode == 0
+
+    def _ended(self, name: str) -> HarnessError:
+        tail = self.text(name).strip().splitlines()[-5:]
+        code = self._processes[name].returncode
+        return HarnessError(f"{name} ended with exit code {code}:\n  " + "\n  ".join(tail))
 
     def stop(self) -> dict[str, int]:
         """End all processes, first kindly; their exit codes."""
-        for kind, patience in ((signal.SIGINT, 8.0), (signal.SIGTERM, 4.0), (signal.SIGKILL, 4.0)):
-            running = [p for p in self._processes.values() if p.poll() is None]
-            for process in running:
-                process.send_signal(kind)
-            deadline = time.monotonic() + patience
-            for process in running:
-                try:
-                    process.wait(max(deadline - time.monotonic(), 0.01))
-                except subprocess.TimeoutExpired:
-                    continue
-        return {name: process.wait() for name, process in self._processes.items()}
+        with _uninterrupted():
+            for kind, patience in _ENDINGS:
+                running = [p for p in self._processes.values() if p.poll() is None]
+                for process in running:
+                    process.send_signal(kind)
+                deadline = time.monotonic() + patience
+                for process in running:
+                    try:
+                        process.wait(max(deadline - time.monotonic(), 0.01))
+                    except subprocess.TimeoutExpired:
+                        continue
+            return {name: process.wait() for name, process in self._processes.items()}
+
+
+#: Signals that end a process, and for how long each is waited for [s].
+_ENDINGS = ((signal.SIGINT, 8.0), (signal.SIGTERM, 4.0), (signal.SIGKILL, 4.0))
+
+
+def _installed(package: str, executable: str) -> Path:
+    try:
+        path = Path(get_package_prefix(package)) / "lib" / package / executable
+    except PackageNotFoundError as error:
+        raise HarnessError(f"the package {package} is not installed: {error}") from error
+    if not path.is_file():
+        raise HarnessError(f"{path} is not installed")
+    return path
 
 
 def sent_by(text: str) -> dict[str, int]:
@@ -239,9 +368,3 @@ def sent_by(text: str) -> dict[str, int]:
             pairs = (item.rsplit(" ", 1) for item in line.removeprefix("sent: ").split(", "))
             return {topic: int(count) for topic, count in pairs}
     raise HarnessError(f"it did not say what it sent: {text[-300:]!r}")
-
-
-def memory(pid: int) -> float:
-    """Resident memory of a process [MB]."""
-    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6

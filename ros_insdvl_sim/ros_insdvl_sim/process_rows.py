@@ -1,6 +1,7 @@
 """The rows of the fault matrix that are of processes and networks, flown as real processes."""
 
 import os
+import resource
 import signal
 import tempfile
 import time
@@ -22,9 +23,10 @@ from insdvl.faults.flight import parameters_of
 from insdvl.faults.rows import LEVELLING
 from insdvl.faults.stream import Sensors, stream_of
 from insdvl.parameters import flatten
-from ros_insdvl_sim.demo import lossless
 from ros_insdvl_sim.harness import (
+    DVL,
     FILTER,
+    IMU,
     ODOMETRY,
     RELAY,
     SIMULATOR,
@@ -32,14 +34,15 @@ from ros_insdvl_sim.harness import (
     TUNER,
     HarnessError,
     Processes,
+    Q,
     Witness,
+    lossless,
     sent_by,
     stamp_of,
 )
 
 Array = NDArray[np.float64]
 
-IMU, DVL, Q = "imu/data_raw", "dvl/velocity", "process_noise"
 DURATION = 60.0  # s of the missions
 AFTER = 10.0  # s of the mission, behind a fault, from which its consequences should be over
 GOOD = 0.5  # m/s: recovered is who stays below
@@ -123,11 +126,7 @@ class Sea:
         values = {name: list(v) if isinstance(v, tuple) else v for name, v in values.items()}
         kept = ("initial.rpy", "initial.velocity", "origin.height")
         return {
-            **{
-                name: list(v) if isinstance(v, tuple) else v
-                for name, v in values.items()
-                if name in kept
-            },
+            **{name: value for name, value in values.items() if name in kept},
             **lossless(f"/{IMU}", f"/{DVL}"),
             **changes,
         }
@@ -149,14 +148,14 @@ class Sea:
     def _start(
         self,
         name: str,
-        module: str,
+        program: tuple[str, str],
         node: str,
         parameters: Mapping[str, Any],
         environment: Mapping[str, str] | None = None,
     ) -> None:
         # One that was there before has ended: what comes from now on is of the new one.
         told = self.witness.tellings[node]
-        process = self.processes.start(name, module, parameters, environment=environment)
+        process = self.processes.start(name, program, parameters, environment=environment)
         self.witness.until(
             lambda: self.witness.tellings[node] > told or process.poll() is not None,
             f"{name} in the graph",
@@ -409,11 +408,13 @@ def tuner_floods(s: Sea) -> Outcome:
     return outcome
 
 
-def filter_resumes(s: Sea) -> Outcome:
-    """The filter is killed under way and resumes from its state file."""
-    outcome = Outcome("the filter is killed at 30 s and started again, with a state file")
-    state: dict[str, Any] = {"state_file": str(s.folder / "state")}
-    s.start_filter(state)
+def _fly_with_a_restart(s: Sea, parameters: Mapping[str, Any]) -> tuple[float, float, int]:
+    """A mission whose filter is killed at 30 s and started again at 35 s.
+
+    Returns:
+        When its odometry ended and began again [s of the mission], and the index of the latter.
+    """
+    s.start_filter(parameters)
     s.start_simulator(1)
     s.at(30.0)
     s.processes.end("filter", signal.SIGKILL)
@@ -421,10 +422,17 @@ def filter_resumes(s: Sea) -> Outcome:
     s.at(35.0)
     with s.pause():
         count = len(s.odometry)
-        s.start_filter(state, "filter again")
+        s.start_filter(parameters, "filter again")
     s.witness.until(lambda: len(s.odometry) > count, "odometry of the second filter")
     first_s = s.odometry[count][0] / NS - START_S
     s.finish()
+    return last_s, first_s, count
+
+
+def filter_resumes(s: Sea) -> Outcome:
+    """The filter is killed under way and resumes from its state file."""
+    outcome = Outcome("the filter is killed at 30 s and started again, with a state file")
+    last_s, first_s, count = _fly_with_a_restart(s, {"state_file": str(s.folder / "state")})
     resumed = "goes on from the state at stamp" in s.processes.text("filter again")
     outcome.expect(
         "it says that it goes on from its state",
@@ -442,18 +450,7 @@ def filter_resumes(s: Sea) -> Outcome:
 def filter_restarts(s: Sea) -> Outcome:
     """The filter is killed under way and starts anew."""
     outcome = Outcome("the filter is killed at 30 s and started again, without a state file")
-    s.start_filter(LEVELLING)
-    s.start_simulator(1)
-    s.at(30.0)
-    s.processes.end("filter", signal.SIGKILL)
-    last_s = s.odometry[-1][0] / NS - START_S
-    s.at(35.0)
-    with s.pause():
-        count = len(s.odometry)
-        s.start_filter(LEVELLING, "filter again")
-    s.witness.until(lambda: len(s.odometry) > count, "odometry of the second filter")
-    first_s = s.odometry[count][0] / NS - START_S
-    s.finish()
+    last_s, first_s, _ = _fly_with_a_restart(s, LEVELLING)
     outcome.expect(
         "it starts as initial.mode says", f"away from {last_s:.1f} to {first_s:.1f} s", True
     )
@@ -564,20 +561,47 @@ def state_folder_gone(s: Sea) -> Outcome:
     outcome = Outcome("the folder of the state file is gone from 15 s to 30 s")
     folder, away = s.folder / "states", s.folder / "away"
     folder.mkdir()
-    s.start_filter({"state_file": str(folder / "state")})
+    return _fly_without_state(
+        s, outcome, folder / "state", lambda: folder.rename(away), lambda: folder.mkdir()
+    )
+
+
+def disk_full(s: Sea) -> Outcome:
+    """No file of the filter can grow, neither its state nor its log: what a full disk does."""
+    outcome = Outcome("from 15 s to 30 s no file of the filter can grow, as on a full disk")
+
+    def limit(size: int | None) -> None:
+        pid = s.processes.process("filter").pid
+        _, most = resource.prlimit(pid, resource.RLIMIT_FSIZE)
+        resource.prlimit(pid, resource.RLIMIT_FSIZE, (most if size is None else size, most))
+
+    return _fly_without_state(s, outcome, s.folder / "state", lambda: limit(0), lambda: limit(None))
+
+
+def _fly_without_state(
+    s: Sea,
+    outcome: Outcome,
+    file: Path,
+    take_away: Callable[[], Any],
+    give_back: Callable[[], Any],
+) -> Outcome:
+    """A mission in which the state file cannot be written from 15 s to 30 s."""
+    s.start_filter({"state_file": str(file)})
     s.start_simulator(1)
     s.at(15.0)
-    folder.rename(away)
+    take_away()
     gone = time.monotonic()
     s.at(30.0)
     s.warned("state file", gone)
-    folder.mkdir()
+    _, complaint = s.status("/insdvl_filter", "state file")
+    give_back()
+    before = time.time()
     s.witness.until(lambda: s.status("/insdvl_filter", "state file")[0] == 0, "the recovery")
     sent = s.finish()
-    written = (folder / "state").is_file()
+    written = file.is_file() and file.stat().st_mtime > before
     outcome.expect(
         "a warning, navigation goes on, the file is written again and all is well",
-        f"warned and recovered, the file is {'there' if written else 'not there'}",
+        f"{complaint[:90]}; then recovered, the file {'new' if written else 'not written'}",
         written,
     )
     s.judge(outcome, 15.0, 30.0, all_of=sent[IMU])
@@ -708,6 +732,7 @@ ROWS: tuple[tuple[str, bool, Callable[[Sea], Outcome]], ...] = (
     ("Processes", False, signals),
     ("Processes", False, shared_memory),
     ("Processes", False, state_folder_gone),
+    ("Processes", False, disk_full),
     ("Processes", False, no_log_folder),
     ("Processes", False, clock_stops),
     ("Network", False, wrong_quality),

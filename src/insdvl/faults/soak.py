@@ -9,6 +9,7 @@ import os
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -121,7 +122,7 @@ def run(hours: int, duration: float = LEG) -> Iterator[Hour]:
             samples=mission.stamps_ns.size,
             outputs=outputs,
             seconds=seconds,
-            memory=_memory(),
+            memory=memory(os.getpid()),
             nis=float(np.mean(nis)),
             body_velocity_rmse=float(np.sqrt(squared / max(outputs, 1))),
             asymmetry=float(asymmetry.max()),
@@ -167,6 +168,7 @@ def _arrivals(mission: Mission) -> Iterator[Arrival]:
     )
 
 
-def _memory() -> float:
-    with open("/proc/self/statm") as file:
-        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+def memory(pid: int) -> float:
+    """Resident memory of a process [MB]."""
+    pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
