@@ -601,7 +601,8 @@ def _fly_without_state(
     written = file.is_file() and file.stat().st_mtime > before
     outcome.expect(
         "a warning, navigation goes on, the file is written again and all is well",
-        f"{complaint[:90]}; then recovered, the file {'new' if written else 'not written'}",
+        f"{complaint.replace(f'{file.parent}/', '')[:60]}; then recovered, "
+        f"the file {'new' if written else 'not written'}",
         written,
     )
     s.judge(outcome, 15.0, 30.0, all_of=sent[IMU])
