@@ -129,17 +129,17 @@ class FilterNode(InsdvlNode[FilterParameters]):
                 )
 
     def _receive(self, topic: str, message: Any) -> None:
-        if topic == "imu/data_raw":
-            self._bias_message.header.frame_id = message.header.frame_id
-        elif topic.startswith("dvl/"):
-            self._innovation_message.header.frame_id = message.header.frame_id
         try:
             for event in self._inputs.events(topic, message, self._fold.newest_ns):
                 refusal = self._fold.add(event)
                 if refusal is not None:
                     self.reject(topic, refusal, f"{refusal}: stamp {event.stamp_ns} ns")
-                else:
-                    self._watch.took(event)
+                    continue
+                self._watch.took(event)
+                if isinstance(event, ImuSample):
+                    self._bias_message.header.frame_id = message.header.frame_id
+                elif isinstance(event, Dvl):
+                    self._innovation_message.header.frame_id = message.header.frame_id
         finally:
             self._publish()
         if self._state_file is not None and (state := self._fold.latest) is not None:

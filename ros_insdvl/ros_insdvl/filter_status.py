@@ -27,6 +27,9 @@ RATE_TOLERANCE = 0.05
 #: Rejections by the gate that are no chance any more.
 GATE_REJECTIONS = 2
 
+#: Median of so many NIS above which a filter is too sure: twice that of chi-square with 3 degrees.
+NIS_COUNT, NIS_MEDIAN = 50, 4.73
+
 #: Parameters that decide which channels are not believed.
 _DECLARED = {"saturated": "acceleration_range and imu.rate_range", "frozen": "frozen_samples"}
 
@@ -77,6 +80,7 @@ class FilterWatch:
         self._nis: deque[float] = deque(maxlen=100)
         self._imu_stamps: deque[int] = deque(maxlen=200)
         self._latencies_ns: deque[int] = deque(maxlen=10_000)
+        self._clocks_agree = False  # those of the stamps and of the node
         self._started_ns: int | None = None  # stamp of the first output
         self._output: Odometry | None = None
 
@@ -96,7 +100,8 @@ class FilterWatch:
         """A DVL measurement was used, or not."""
         report = update.report
         self._updates["accepted" if report.accepted else "rejected"] += 1
-        self._nis.append(report.nis)
+        if report.accepted and not report.reason:  # a restart tells of what was before it
+            self._nis.append(report.nis)
 
     def published(self, output: Odometry, now_ns: int) -> None:
         """Odometry was published at a time of the node's clock."""
@@ -169,6 +174,16 @@ class FilterWatch:
         imu = self._parameters.imu
         view.quiet(status, IMU, ERROR, "look at the IMU's driver, its topic and the connections")
         view.refused(status, [IMU])
+        prefix = f"rejected {IMU}: "
+        refused = sum(n for key, n in view.recent.items() if key.startswith(prefix))
+        taken = view.recent[f"sent {ODOMETRY}"]
+        if 0 < view.recent[f"received {IMU}"] <= refused and not taken:
+            status.complain(
+                ERROR,
+                "all refused",
+                f"all {refused} messages of the last {RECENT:.0f} s were refused: there is no "
+                "navigation until that is mended",
+            )
         if count := view.recent["gaps"]:
             status.complain(
                 WARN,
@@ -231,6 +246,14 @@ class FilterWatch:
             nis = float(np.mean(self._nis))
             status.values[f"NIS, mean of {len(self._nis)}"] = f"{nis:.3f}"
             status.summary = f"mean NIS {nis:.2f} (3 is expected)"
+            if len(self._nis) >= NIS_COUNT and float(np.median(self._nis)) > NIS_MEDIAN:
+                status.complain(
+                    WARN,
+                    "too sure",
+                    f"the mean NIS of {len(self._nis)} measurements is {nis:.1f}, 3 is expected: "
+                    "the filter is too sure of itself, its process noise or the DVL's noise_std is "
+                    "too small",
+                )
         self._show_counters(status, "inflations", "restarts")
         return status
 
@@ -377,7 +400,8 @@ class FilterWatch:
             return
         p50, p99 = np.percentile(self._latencies_ns, [50, 99])
         self._latencies_ns.clear()
-        if abs(p50) >= CLOCK_AGREEMENT_NS:
+        self._clocks_agree |= bool(abs(p50) < CLOCK_AGREEMENT_NS)
+        if not self._clocks_agree:
             return
         status.values["latency p50 [ms]"] = f"{p50 / 1e6:.2f}"
         status.values["latency p99 [ms]"] = f"{p99 / 1e6:.2f}"

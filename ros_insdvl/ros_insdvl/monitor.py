@@ -1,6 +1,7 @@
 """The node `insdvl_monitor`: a live table of how well filters do, for a terminal or a log."""
 
 import sys
+import time
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -27,6 +28,7 @@ TRUTH = "ground_truth/odometry"
 LEARNED_Q = "process_noise"
 TRUE_Q = "ground_truth/process_noise"
 
+STALE_TIME = 5.0  # s of the wall; every node tells its diagnostics once a second
 LEVELS = {
     DiagnosticStatus.OK: "ok",
     DiagnosticStatus.WARN: "warn",
@@ -111,8 +113,9 @@ class Watched:
 
     Attributes:
         values: All values of its last diagnostics.
-        level: The worst level of its statuses.
+        level: The worst level of its statuses; STALE when it has told none for `STALE_TIME`.
         message: The worst of them, with its cause.
+        told_at: When it told them, on the monotonic clock [s].
     """
 
     label: str
@@ -121,9 +124,16 @@ class Watched:
     values: dict[str, str] = field(default_factory=dict)
     level: str = "-"
     message: str = ""
+    told_at: float | None = None
+
+    def look(self) -> None:
+        """See whether it still tells anything."""
+        if self.told_at is not None and (silence := time.monotonic() - self.told_at) > STALE_TIME:
+            self.level, self.message = "STALE", f"nothing told for {silence:.0f} s: it has ended?"
 
     def tell(self, statuses: list[DiagnosticStatus]) -> None:
         """Take the node's last statuses."""
+        self.told_at = time.monotonic()
         self.values = {item.key: item.value for status in statuses for item in status.values}
         worst = max(statuses, key=lambda status: status.level)
         self.level = LEVELS.get(worst.level, "?")
@@ -218,6 +228,8 @@ class Monitor(InsdvlNode[MonitorParameters]):
         return error, np.sqrt(rows[inside][:, OdometrySeries.VELOCITY_VARIANCE])
 
     def _print(self) -> None:
+        for watched in self.filters:
+            watched.look()
         if sys.stdout.isatty():
             lines = self.table()
             above = f"\x1b[{self._lines_above}A\x1b[J" if self._lines_above else ""

@@ -268,7 +268,7 @@ class InsdvlNode(Node, Generic[_Group]):
         self._connections = Connections(self, self.single_inputs)
         self._recent = Recent()
         self._looked = time.monotonic()
-        self._told: dict[str, set[str]] = {}
+        self._told: dict[str, dict[str, bytes]] = {}
         self.create_timer(
             1.0, self._publish_statuses, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
@@ -330,11 +330,11 @@ class InsdvlNode(Node, Generic[_Group]):
         self._diagnostics.publish(message)
 
     def _log_changes(self, statuses: list[Status]) -> None:
-        """A line for each complaint that is new, and for each status that is well again."""
+        """A line for each complaint that is new or worse, and for each status well again."""
         for status in statuses:
-            before = self._told.get(status.cause, set())
+            before = self._told.get(status.cause, {})
             for complaint in status.complaints:
-                if complaint.about in before:
+                if complaint.level <= before.get(complaint.about, OK):
                     continue
                 # One line each: rclpy keeps the level of a line of code.
                 if complaint.level == ERROR:
@@ -343,7 +343,7 @@ class InsdvlNode(Node, Generic[_Group]):
                     self.get_logger().warning(f"{status.cause}: {complaint.text}")
             if before and status.level == OK:
                 self.get_logger().info(f"{status.cause}: ok again, {status.summary}")
-            self._told[status.cause] = {complaint.about for complaint in status.complaints}
+            self._told[status.cause] = {c.about: c.level for c in status.complaints}
 
 
 def run(factory: Callable[[], InsdvlNode[Any]]) -> int:
@@ -409,10 +409,11 @@ def _turn(executor: SingleThreadedExecutor, node: InsdvlNode[Any]) -> None:
 
     Only a node that runs by itself goes on like this: an executor of a test's own raises.
     """
-    while True:
+    # rclpy's own spin_until_future_complete adds such a callback with every turn and forgets none.
+    node.finished.add_done_callback(lambda future: executor.wake())
+    while rclpy.ok() and not node.finished.done():
         try:
-            executor.spin_until_future_complete(node.finished)
-            return
+            executor.spin_once()
         except ExternalShutdownException:
             raise
         except Exception as error:

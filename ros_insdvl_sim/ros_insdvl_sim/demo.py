@@ -49,7 +49,7 @@ from ros_insdvl_sim.harness import (
     TUNER,
     HarnessError,
     Processes,
-    environment,
+    graph_environment,
     guarded,
     lossless,
     sent_by,
@@ -454,7 +454,7 @@ def run_demo(options: argparse.Namespace) -> int:
     out: Path = options.out
     logs = out / "logs"
     logs.mkdir(parents=True, exist_ok=True)
-    variables = environment()
+    variables = graph_environment()
     os.environ.update(variables)
     share = 1.0 if options.record is None else RECORDING_SPEED
     rate_factor = options.rate_factor or round(share * choose_rate_factor(), 1)

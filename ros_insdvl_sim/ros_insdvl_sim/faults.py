@@ -64,9 +64,11 @@ def run(options: argparse.Namespace) -> int:
     }
     failed = 0
     for part in options.parts.split(","):
-        judged = []
+        judged: list[dict[str, Any]] = []
+        document = {"rate_factor": RATE_FACTOR, "environment": environment(), "rows": judged}
         for row in parts[part]():
             judged.append(row)
+            write(folder / f"{part}.json", json_text(document).encode())
             failed += not row["met"]
             print(
                 f"{'met' if row['met'] else 'NOT MET':8}{row['group']}: {row['fault']}", flush=True
@@ -74,8 +76,6 @@ def run(options: argparse.Namespace) -> int:
             for check in row["checks"]:
                 if not check["met"]:
                     print(f"        {check['expected']}: {check['seen']}", flush=True)
-        document = {"rate_factor": RATE_FACTOR, "environment": environment(), "rows": judged}
-        write(folder / f"{part}.json", json_text(document).encode())
     write(options.out / "reliability.md", page.markdown(page.documents(folder)).encode())
     print(options.out / "reliability.md")
     return 1 if failed else 0

@@ -46,7 +46,7 @@ class HarnessError(RuntimeError):
     """The graph cannot go on; the message says why."""
 
 
-def environment() -> dict[str, str]:
+def graph_environment() -> dict[str, str]:
     """What the processes of a graph on this machine, and a second terminal, need in theirs.
 
     Raises:
@@ -73,10 +73,10 @@ def isolate() -> None:
     """A ROS domain of our own, on this machine only, for this process and its children.
 
     Raises:
-        HarnessError: As `environment`.
+        HarnessError: As `graph_environment`.
     """
     os.environ.setdefault("ROS_DOMAIN_ID", "91")
-    os.environ.update(environment())
+    os.environ.update(graph_environment())
 
 
 def guarded(program: str, run: Callable[[], int], failed: int) -> int:
@@ -232,10 +232,16 @@ class Witness:
 
 
 class Processes:
-    """Processes, each with a log file; a context that ends them all."""
+    """Processes, each with a log file; a context that ends them all.
 
-    def __init__(self, logs: Path) -> None:
+    Args:
+        logs: Folder of the log files.
+        environment: Of all processes, beside that of this one.
+    """
+
+    def __init__(self, logs: Path, environment: Mapping[str, str] | None = None) -> None:
         self._logs = logs
+        self._environment = dict(environment or {})
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
 
     def __enter__(self) -> "Processes":
@@ -280,7 +286,7 @@ class Processes:
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
-                env=os.environ | dict(environment or {}),
+                env=os.environ | self._environment | dict(environment or {}),
             )
         return self._processes[name]
 
@@ -297,10 +303,17 @@ class Processes:
         return self._processes[name]
 
     def end(self, name: str, *signals: int) -> int:
-        """Send signals to a process, one after the other, and wait for its end; its exit code."""
+        """Send signals to a process, one after the other, and wait for its end; its exit code.
+
+        Raises:
+            HarnessError: It does not end.
+        """
         for number in signals:
             self._processes[name].send_signal(number)
-        return self._processes[name].wait(PATIENCE)
+        try:
+            return self._processes[name].wait(PATIENCE)
+        except subprocess.TimeoutExpired as error:
+            raise HarnessError(f"{name} did not end within {PATIENCE:g} s") from error
 
     def check(self, *names: str) -> None:
         """Check that processes live.

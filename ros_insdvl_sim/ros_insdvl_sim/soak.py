@@ -12,7 +12,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -24,10 +24,12 @@ from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Imu
 
+from insdvl.evaluation.tables import number as shown
 from insdvl.events import NS
 from insdvl.faults import page, soak
 from insdvl.files import check_writable, json_text, write
 from insdvl.parallel import environment
+from insdvl.parameters import FilterParameters, build
 from ros_insdvl_sim.harness import (
     DVL,
     FILTER,
@@ -123,10 +125,10 @@ class Recorder:
 class Graph:
     """Filter and tuner, which live as long as this, and a simulator for every leg."""
 
-    def __init__(self, processes: Processes, rate_factor: float) -> None:
+    def __init__(self, processes: Processes, witness: Witness, rate_factor: float) -> None:
         self.processes = processes
         self.rate_factor = rate_factor
-        self.witness = Witness()
+        self.witness = witness
         self.recorder = Recorder(self.witness)
         self.began = time.monotonic()
         self.legs = 0
@@ -144,9 +146,12 @@ class Graph:
                 **lossless("/imu/data_raw", "/dvl/velocity"),
             },
         )
-        self.witness.until(
-            lambda: set(CONSUMERS.values()) <= self.witness.values.keys(), "filter and tuner"
-        )
+
+        def ready() -> bool:
+            processes.check(*CONSUMERS)
+            return set(CONSUMERS.values()) <= witness.values.keys()
+
+        witness.until(ready, "filter and tuner")
 
     def fly(self, number: int, duration: float) -> dict[str, Any]:
         """Fly a leg; its numbers.
@@ -197,7 +202,7 @@ class Graph:
             "memory": self._memory_of(np.array(looks)),
             "latency": self._latency(number, duration),
             "nis": _mean(recorder.nis),
-            "body_velocity_rmse": float(np.sqrt(_mean(recorder.errors) or np.nan)),
+            "body_velocity_rmse": _root(_mean(recorder.errors)),
         }
 
     def _memory(self, name: str) -> float:
@@ -233,11 +238,14 @@ class Graph:
             for consumer, topic, n, received in rows
         ]
 
-    def _memory_of(self, looks: Array) -> dict[str, Any]:
+    def _memory_of(self, looks: Array) -> dict[str, dict[str, float]] | None:
         """Of each process: at the beginning, the end and the most [MB], and the slope.
 
-        The slope is of a line through the second half [MB per hour of mission].
+        The slope is of a line through the second half [MB per hour of mission]. None where the
+        filter published nothing.
         """
+        if not looks.size:
+            return None
         result = {}
         for column, name in enumerate(CONSUMERS, start=1):
             values = looks[:, column]
@@ -252,16 +260,16 @@ class Graph:
             }
         return result
 
-    def _latency(self, number: int, duration: float) -> list[dict[str, float]]:
-        """Median and 99th percentile of each part of the leg [ms]."""
+    def _latency(self, number: int, duration: float) -> list[dict[str, float | None]]:
+        """Median and 99th percentile of each part of the leg [ms], None where nothing came."""
         stamps = np.array(self.recorder.stamps_ns) / NS - number * duration
         latencies = 1e3 * np.array(self.recorder.latencies)
         edges = np.linspace(0.0, duration, PARTS + 1)
         parts = []
         for k in range(PARTS):
             inside = latencies[(stamps > edges[k]) & (stamps <= edges[k + 1])]
-            p50, p99 = np.percentile(inside, [50, 99]) if inside.size else (np.nan, np.nan)
-            parts.append({"p50": float(p50), "p99": float(p99)})
+            p50, p99 = np.percentile(inside, [50, 99]).tolist() if inside.size else (None, None)
+            parts.append({"p50": p50, "p99": p99})
         return parts
 
 
@@ -269,22 +277,19 @@ def _mean(values: list[float]) -> float | None:
     return float(np.mean(values)) if values else None
 
 
-def lost(leg: dict[str, Any]) -> int:
-    """Messages of a leg that did not arrive."""
-    return sum(abs(row["sent"] - row["received"]) for row in leg["messages"])
+def _root(value: float | None) -> float | None:
+    return None if value is None else float(np.sqrt(value))
 
 
 @contextmanager
 def graph(rate_factor: float) -> Iterator[Graph]:
     """Processes and the witness."""
-    with tempfile.TemporaryDirectory(prefix="insdvl-soak-") as logs:
-        os.environ["ROS_LOG_DIR"] = logs
-        with Processes(Path(logs)) as processes:
-            made = Graph(processes, rate_factor)
-            try:
-                yield made
-            finally:
-                made.witness.close()
+    with (
+        tempfile.TemporaryDirectory(prefix="insdvl-soak-") as logs,
+        Processes(Path(logs), {"ROS_LOG_DIR": logs}) as processes,
+        closing(Witness()) as witness,
+    ):
+        yield Graph(processes, witness, rate_factor)
 
 
 def search() -> tuple[float, list[dict[str, Any]]]:
@@ -300,12 +305,17 @@ def search() -> tuple[float, list[dict[str, Any]]]:
         trial = {
             "rate_factor": factor,
             "held": leg["held"],
-            "lost": lost(leg),
+            "lost": page.lost(leg),
             "latency": leg["latency"][-1]["p50"],
         }
         tried.append(trial)
-        print(", ".join(f"{name} {value:.4g}" for name, value in trial.items()), flush=True)
-        if trial["lost"] or trial["held"] < HELD or not trial["latency"] < LATENCY:
+        print(
+            f"{factor:g} times real time: held {trial['held']:.3f}, lost {trial['lost']}, latency "
+            f"{shown(trial['latency'], 1)} ms",
+            flush=True,
+        )
+        latency = trial["latency"]
+        if trial["lost"] or trial["held"] < HELD or latency is None or latency > LATENCY:
             break
         best, factor = factor, round(factor * STEP, 1)
     if not best:
@@ -321,6 +331,7 @@ def run(options: argparse.Namespace) -> int:
     file = folder / "soak.json"
     check_writable(file, "--out")
     document: dict[str, Any] = {"search": [], "rate_factor": None, "legs": [], "core": []}
+    document |= {"steps": {}}
     if file.exists():
         document |= json.loads(file.read_text(encoding="utf-8"))
 
@@ -335,6 +346,13 @@ def run(options: argparse.Namespace) -> int:
             document["core"].append(asdict(hour) | {"hour": number})
             print(f"core, hour {number + 1}: {hour.seconds:.1f} s", flush=True)
             keep()
+    if options.steps:
+        document["steps"] = {}
+        for name, values in soak.STEPPED.items():
+            parameters = build(FilterParameters, values)
+            health = soak.steps(parameters, options.steps, seed=1)
+            document["steps"][name] = [asdict(million) for million in health]
+            print(f"{options.steps} million steps, {name}", flush=True)
     keep()
     if options.hours:
         if options.rate_factor:
@@ -349,11 +367,11 @@ def run(options: argparse.Namespace) -> int:
                 document["legs"].append(leg)
                 keep()
                 print(
-                    f"leg {number + 1}: {leg['wall']:.0f} s, lost {lost(leg)}, "
-                    f"NIS {leg['nis']:.3f}, filter {leg['memory']['filter']['end']:.1f} MB",
+                    f"leg {number + 1}: {leg['wall']:.0f} s, lost {page.lost(leg)}, "
+                    f"NIS {shown(leg['nis'], 3)}",
                     flush=True,
                 )
-    return 1 if any(lost(leg) for leg in document["legs"]) else 0
+    return 1 if any(page.lost(leg) for leg in document["legs"]) else 0
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
@@ -363,6 +381,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--core-hours", type=int, default=0, help="of mission through the core alone, anew"
     )
+    parser.add_argument("--steps", type=int, default=0, help="millions of the filter's steps, anew")
     parser.add_argument(
         "--rate-factor",
         type=float,
@@ -376,7 +395,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
         "--out", type=Path, default=Path("docs"), metavar="DIR", help="folder (default: ./docs)"
     )
     options = parser.parse_args(arguments)
-    for name in ("hours", "core_hours"):
+    for name in ("hours", "core_hours", "steps"):
         if getattr(options, name) < 0:
             parser.error(f"--{name.replace('_', '-')} must be >= 0, got {getattr(options, name)}")
     if not 10.0 <= options.leg <= soak.LEG:

@@ -114,6 +114,9 @@ def check_chunks(chunks: Iterable[storage_mcap.ChunkInfo]) -> None:
             raise UnfitError(
                 f"chunks at {before.chunk_start_offset} and {after.chunk_start_offset} overlap"
             )
+    for chunk in ordered:
+        if chunk.message_end_time < chunk.message_start_time:
+            raise UnfitError(f"the chunk at {chunk.chunk_start_offset} ends before it begins")
     # A chunk is opened at its first stamp and closed at its last one.
     changes = [(chunk.message_start_time, 0, chunk.uncompressed_size) for chunk in ordered]
     changes += [(chunk.message_end_time, 1, -chunk.uncompressed_size) for chunk in ordered]

@@ -112,8 +112,6 @@ def beginning(text: str) -> str:
 def write(path: Path, data: bytes) -> None:
     """Write a file; it is complete when it takes its name, and another of that name lives on else.
 
-    That holds for a loss of power as well.
-
     Raises:
         OSError: It cannot be written.
     """
@@ -123,10 +121,9 @@ def write(path: Path, data: bytes) -> None:
             file.write(data)
             file.flush()
             os.fchmod(file.fileno(), 0o644)
-            os.fsync(file.fileno())
         os.replace(temporary, path)
     except BaseException:
-        os.unlink(temporary)
+        Path(temporary).unlink(missing_ok=True)
         raise
 
 

@@ -42,13 +42,11 @@ Records = NDArray[np.void]
 #: A measurement whose NIS is so many times the gate's limit is surely an error of the DVL.
 FAULT = 1.5
 #: A trusted filter may reject for so long [ns] what need not be an error of the DVL; a longer
-#: interval between measurements bears nothing out.
+#: interval between measurements bears nothing out; two steps farther apart are no way.
 LEAST_PATIENCE_NS = 5 * NS
 #: A running mean of the NIS, over so many measurements, that a filter of honest covariance has
 #: above the limit once in 10,000 measurements, and one of half the covariance in every fifth.
 NIS_MEMORY, NIS_LIMIT = 5.0, 7.0
-#: So many steps of the rejected innovations one after the other show that the filter wanders.
-WANDERING = 2
 #: Most tilt, one sigma [rad], that an inflation takes for possible.
 LARGEST_TILT_DOUBT = 0.5
 
@@ -97,6 +95,18 @@ def _is_frozen(s: State, c: Constants, reading: Array, i: int) -> bool:
 
 
 @kernel
+def unseen_sigma(c: Constants, reading: Array, i: int) -> float:
+    """One sigma of the motion that a channel in doubt does not see [m/s^2 or rad/s].
+
+    One that is saturated may be stuck there: its range at least.
+    """
+    sigma = c.gap_f if i < 3 else c.gap_w
+    if _is_saturated(c, reading, i):
+        return max(sigma, c.range[i])
+    return sigma
+
+
+@kernel
 def _growth(from_ns: int, to_ns: int, since_ns: int, is_new: bool) -> float:
     """Density over a step that makes T^2 grow, T being the time since a stamp; or all of it."""
     before = 0.0 if is_new else (from_ns - since_ns) * 1e-9
@@ -120,18 +130,17 @@ def _doubt(s: State, w: Workspace, c: Constants, reading: Array, to_ns: int) -> 
         w.frozen[i] = frozen
         if not (frozen or _is_saturated(c, reading, i)):
             continue
+        sigma = unseen_sigma(c, reading, i)
         any_unseen = True
         is_new = s.unseen_ns[i] == NEVER
         if is_new:
             s.unseen_ns[i] = s.equal_ns[i] if frozen else s.imu_ns
         told_ns = max(s.unseen_ns[i], s.accepted_ns)
         w.unseen[i] = _growth(s.time_ns, to_ns, told_ns, is_new)
-        if i < 3:
-            w.unseen[i] *= c.gap_f**2
-        else:
+        if i >= 3:
             total = _growth(s.time_ns, to_ns, s.unseen_ns[i], is_new)
-            w.unseen_heading[i] = c.gap_w**2 * (total - w.unseen[i])
-            w.unseen[i] *= c.gap_w**2
+            w.unseen_heading[i] = sigma**2 * (total - w.unseen[i])
+        w.unseen[i] *= sigma**2
     return any_unseen
 
 
@@ -267,6 +276,7 @@ def _complete(s: State, c: Constants, sample_ns: int, reading: Array) -> None:
     """The sample is used up."""
     if s.imu_ns != NEVER and sample_ns - s.imu_ns > c.gap_ns:
         s.gaps += 1
+        s.gap_ns = sample_ns
     _watch(s, c, sample_ns, reading)
     s.imu_ns = sample_ns
 
@@ -669,11 +679,13 @@ class Filter:
 
     def _seen_rate(self, s: State, w_ib_b: Array) -> tuple[Array, Array]:
         """The rate without that of frozen channels, and the variance (3, 3) of what is not seen."""
+        least, c = self.parameters.imu.frozen_samples, self.constants[0]
         unseen = s["unseen_ns"][3:] != NEVER
-        frozen = unseen & (s["equal"][3:] + 1 >= self.parameters.imu.frozen_samples)
+        frozen = unseen & (s["equal"][3:] + 1 >= least) & (least > 0)
+        sigma = unseen * [unseen_sigma(c, s["reading"], i) for i in (3, 4, 5)]
         C = self.C_b_i
         w = np.where(frozen, C.T @ s["b_w"], C.T @ w_ib_b)
-        return C @ w, C @ np.diag(self.parameters.imu.gap_rate_std**2 * unseen) @ C.T
+        return C @ w, C @ np.diag(sigma**2) @ C.T
 
     def _lock_loss(self, s: State, dvl: Dvl) -> str:
         """What says that the DVL has not measured: ``no_lock``, ``repeated``; else nothing."""
@@ -730,28 +742,33 @@ class Filter:
         A step that the IMU did not see is the DVL's, and then as long as the DVL has borne the
         filter out before. Else the filter has drifted, or its own covariance is wrong.
         """
-        if s["accepted_ns"] != NEVER:
-            interval_ns = stamp_ns - int(s["accepted_ns"])
-            if self._is_step(s, innovation - s["left"], interval_ns, R):
-                return int(s["trusted_for"])
-        return self._least_patience(s)
+        if s["accepted_ns"] == NEVER:
+            return 0
+        interval_ns = stamp_ns - int(s["accepted_ns"])
+        # Behind an outage, or a gap, nobody has seen whether there was a step.
+        seen = interval_ns <= LEAST_PATIENCE_NS and not self._has_gap(s)
+        if seen and self._is_step(s, innovation - s["left"], interval_ns, R):
+            return int(s["trusted_for"])
+        return min(LEAST_PATIENCE_NS, int(s["trusted_for"]))
+
+    def _has_gap(self, s: State) -> bool:
+        """Whether samples are missing since the last accepted measurement."""
+        open_ns = s["time_ns"] - s["imu_ns"]
+        return bool(s["gap_ns"] > s["accepted_ns"] or open_ns > self.constants[0]["gap_ns"])
 
     def _wanders(self, s: State, stamp_ns: int, innovation: Array, R: Array) -> bool:
-        """Whether the innovations go away step by step: then it is the filter that goes.
+        """Whether the innovations wander, step by step: then it is the filter that does.
 
         An error of the DVL that goes on would repeat itself, and outliers, each for itself, would
         be as far from each other as from the truth.
         """
         step = innovation - s["rejected"]
-        small = np.linalg.norm(step) < np.linalg.norm(innovation) / 3.0
-        if small and self._is_step(s, step, stamp_ns - int(s["rejected_ns"]), R):
-            s["wandered"] += 1
-        return bool(s["wandered"] >= WANDERING)
-
-    @staticmethod
-    def _least_patience(s: State) -> int:
-        """How long [ns] the filter may reject when it may be wrong itself."""
-        return min(LEAST_PATIENCE_NS, int(s["trusted_for"]))
+        small = np.hypot.reduce(step) < np.hypot.reduce(innovation) / 2.0  # cannot overflow
+        if not small or not self._is_step(s, step, stamp_ns - int(s["rejected_ns"]), R):
+            return False
+        again = s["wandered_ns"] != NEVER and stamp_ns - s["wandered_ns"] <= LEAST_PATIENCE_NS
+        s["wandered_ns"] = stamp_ns
+        return bool(again)
 
     def _accepted(self, s: State, stamp_ns: int) -> None:
         if s["accepted_ns"] != NEVER:
@@ -765,14 +782,14 @@ class Filter:
         self._trust_dvl(s)
 
     def _trust_dvl(self, s: State) -> None:
-        s["rejections"] = s["wandered"] = 0
-        s["rejected_from_ns"] = s["rejected_ns"] = s["fault_ns"] = NEVER
+        s["rejections"] = 0
+        s["rejected_from_ns"] = s["rejected_ns"] = s["wandered_ns"] = s["fault_ns"] = NEVER
 
     def _recover(self, s: State, dvl: Dvl, innovation: Array, R: Array) -> tuple[bool, str]:
         """Reject, but not for ever: inflate the velocity covariance, then restart the velocity.
 
-        A filter that nothing has borne out yet, or whose NIS say that it is too sure of itself,
-        does not reject at all: its velocity starts again from what does not fit.
+        A filter that nothing has borne out yet, or whose NIS say that it is too sure of itself, has
+        no patience: it rejects once.
         """
         if s["rejections"] == 0:
             s["rejected_from_ns"] = s["rejected_ns"] = dvl.stamp_ns
@@ -780,7 +797,8 @@ class Filter:
         since_ns = dvl.stamp_ns - int(s["rejected_from_ns"])
         if s["rejections"] and self._wanders(s, dvl.stamp_ns, innovation, R):
             s["patient_for"] = min(int(s["patient_for"]), since_ns)
-        inflated = s["rejected_ns"] - s["rejected_from_ns"] >= s["patient_for"]
+        before_ns = int(s["rejected_ns"]) - int(s["rejected_from_ns"])
+        inflated = s["rejections"] > 0 and before_ns >= s["patient_for"]
         s["rejections"] += 1
         s["rejected"], s["rejected_ns"] = innovation, dvl.stamp_ns
         # An IMU that is in doubt itself has no patience to ask for.
@@ -803,6 +821,7 @@ class Filter:
         P[VELOCITY, VELOCITY] = self.C_b_d @ doubt @ self.C_b_d.T
         P[:] = T @ P @ T.T
         P[:] = (P + P.T) / 2
+        s["left"] = 0.0
         self._accepted(s, dvl.stamp_ns)
         s["restarts"] += 1
         return True, "restarted"

@@ -148,7 +148,7 @@ class Fold:
         self._gyro_average_ns = round(parameters.dvl.gyro_average * NS)
         self._jump_limit_ns = round(parameters.jump_limit * NS)
         max_gap_ns = round(parameters.imu.max_gap * NS)
-        # What is not a sample may be ahead of them by so much.
+        # A measurement, or a Q, may be ahead of the samples by so much.
         self._ahead_ns = max(self._jump_limit_ns, round(MAX_QUEUE / parameters.imu.rate * NS))
         self._near_ns = max(self._max_delay_ns, max_gap_ns)  # samples as near are of one time
         self._run_gap_ns = max(RUN_GAP_NS, max_gap_ns)
@@ -211,18 +211,18 @@ class Fold:
         Returns:
             None, or why it was not used: ``not_finite``, ``out_of_range`` (beyond all that is
             physical, see `events.refusal`), ``too_late`` (older than the newest sample by more than
-            max_delay), ``far_ahead`` (a sample of it by more than jump_limit, all else by more than
-            that and than `MAX_QUEUE` samples take, and a sample behind a gap longer than max_delay
-            until the next one confirms it), ``duplicate`` (of one stamp and kind, the event with
-            the smallest payload counts, whichever comes first). What was too late or far ahead may
-            be used after all: then it is counted as ``recovered``.
+            max_delay), ``far_ahead`` (of it by more than jump_limit, a measurement or a Q by more
+            than that and than `MAX_QUEUE` samples take, and a sample behind a gap longer than
+            max_delay until the next one confirms it), ``duplicate`` (of one stamp and kind, the
+            event with the smallest payload counts, whichever comes first). What was too late or far
+            ahead may be used after all: then it is counted as ``recovered``.
         """
         reason = refusal(event)
         if reason is not None:
             return reason
         if self._count:
             ahead_ns = event.stamp_ns - self.newest_ns
-            limit_ns = self._near_ns if isinstance(event, Imu) else self._ahead_ns
+            limit_ns = self._limit_ns(event)
             if ahead_ns < -self._max_delay_ns:
                 return self._suspect(event, "too_late")
             if ahead_ns > limit_ns:
@@ -231,6 +231,12 @@ class Fold:
         if isinstance(event, Imu) and reason is None:
             self._confirm_present()
         return reason
+
+    def _limit_ns(self, event: Event) -> int:
+        """How far ahead of the samples an event may be."""
+        if isinstance(event, Imu):
+            return self._near_ns
+        return self._ahead_ns if isinstance(event, (Dvl, ProcessNoise)) else self._jump_limit_ns
 
     def _insert(self, event: Event) -> str | None:
         if event.stamp_ns <= self._resumed_ns:
@@ -271,13 +277,12 @@ class Fold:
         return None
 
     def _insert_of(self, run: _Run, candidates: Iterable[Event]) -> int:
-        """Insert those events that are of the run's time; returns their number."""
+        """Insert those events that are of the run's time; returns how many are new."""
         count = 0
         for event in candidates:
-            last_ns = run.last_ns + (0 if isinstance(event, Imu) else self._ahead_ns)
+            last_ns = run.last_ns + (0 if isinstance(event, Imu) else self._limit_ns(event))
             if run.first_ns - self._max_delay_ns <= event.stamp_ns <= last_ns:
-                self._insert(event)
-                count += 1
+                count += self._insert(event) is None
         return count
 
     def _confirm_present(self) -> None:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from insdvl import error_state
 from insdvl.error_state import ACCELEROMETER_BIAS, ATTITUDE, GYROSCOPE_BIAS, POSITION, VELOCITY
-from insdvl.filter import Filter
+from insdvl.filter import Filter, unseen_sigma
 from insdvl.frames import CONVENTIONS
 from insdvl.kernels import kernel
 from insdvl.rotation import (
@@ -160,7 +160,8 @@ def _odometry(states: Records, k: int, constants: Records, out: Records) -> None
             M[a, b] = c.density * c.rate * s.Q_w[a, b]
             for i in range(3):
                 if s.unseen_ns[3 + i] != NEVER:
-                    M[a, b] += c.C_b_i[a, i] * c.gap_w**2 * c.C_b_i[b, i]
+                    sigma = unseen_sigma(c, s.reading, 3 + i)
+                    M[a, b] += c.C_b_i[a, i] * sigma**2 * c.C_b_i[b, i]
     for i in range(6):
         for j in range(6):
             for a in range(3):

@@ -289,7 +289,7 @@ class ImuParameters:
     acceleration_range: float = parameter(
         0.0,
         "A channel that reads this or more, either way, is saturated: the motion that it does not "
-        "see is added as in a gap; 0 if no range is declared.",
+        "see is added as in a gap, this at least; 0 if no range is declared.",
         unit="m/s^2",
         low=0.0,
     )
@@ -375,8 +375,9 @@ class GateParameters:
     max_rejection_time: float = parameter(
         60.0,
         "When nothing but rejections came for this time (in stamps), or for as long as the DVL has "
-        "borne the filter out before if that is shorter, the covariance of velocity and tilt is "
-        "inflated; after twice the time the velocity is initialised again from the DVL.",
+        "borne the filter out before if that is shorter (5 s at most where the filter may be wrong "
+        "itself), the covariance of velocity and tilt is inflated; after twice the time the "
+        "velocity is initialised again from the DVL.",
         unit="s",
         above=0.0,
         high=3600.0,
@@ -593,8 +594,8 @@ class FilterParameters:
     jump_limit: float = parameter(
         30.0,
         "An IMU stamp that is ahead of the newest by more than this, or older than max_delay, is "
-        "of another time; ten such samples in a row are a time jump. Other messages may be ahead "
-        "by as much, or by what 10,000 samples take where that is longer.",
+        "of another time; ten such samples in a row are a time jump. Measurements and Q may be "
+        "ahead by as much, or by what 10,000 samples take where that is longer.",
         unit="s",
         low=1.0,
         high=3600.0,

@@ -154,7 +154,7 @@ class FrameCheck:
             self._add_sample(event)
         elif isinstance(event, Dvl) and event.v_d.any():
             insort(self._waiting, (event.stamp_ns, event.v_d.tobytes()))
-            del self._waiting[:-_WAITING]
+            del self._waiting[_WAITING:]  # the earliest is the next to be used
         self._take_fixes()
 
     def _add_sample(self, sample: Imu) -> None:

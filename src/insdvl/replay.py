@@ -337,7 +337,8 @@ def errors_of(
     ``velocity_rmse`` is of the vector in navigation axes; ``nis_mean`` is over the accepted DVL
     updates. What cannot be told is None.
     """
-    nis = [update.report.nis for update in fold.updates if update.report.accepted]
+    reports = [update.report for update in fold.updates]
+    nis = [r.nis for r in reports if r.accepted and not r.reason]  # a restart is no fit
     times_ns = fold.states["time_ns"][fold.states["initialised"] != 0]
     inside = np.zeros(len(stamps_ns), dtype=bool)
     if times_ns.size:

@@ -41,6 +41,7 @@ def state_type(n: int, window: int) -> np.dtype[np.void]:
             # Time
             ("time_ns", "i8"),  # stamp of the state
             ("imu_ns", "i8"),  # stamp of the last IMU sample that is complete
+            ("gap_ns", "i8"),  # and of the last one that ended a gap
             # Origin of odom on the Earth, nan until it is known: lat, lon [rad], h [m]
             ("lat_0", "f8"),
             ("lon_0", "f8"),
@@ -73,14 +74,14 @@ def state_type(n: int, window: int) -> np.dtype[np.void]:
             ("nis", "f8"),  # running mean over those accepted
             # Gate: for how long the DVL has borne the filter out [ns], rejections in a row, for how
             # long they may go on [ns], stamps of the first and of the last, innovation of the last,
-            # and for how many of them the innovation has wandered
+            # and stamp of the last whose innovation had wandered
             ("trusted_for", "i8"),
             ("rejections", "i8"),
             ("patient_for", "i8"),
             ("rejected_from_ns", "i8"),
             ("rejected_ns", "i8"),
             ("rejected", "f8", (3,)),
-            ("wandered", "i8"),
+            ("wandered_ns", "i8"),
             # Innovation and stamp of the last of them that was surely an error of the DVL
             ("fault", "f8", (3,)),
             ("fault_ns", "i8"),
@@ -130,8 +131,9 @@ def empty_state(n: int, window: int) -> NDArray[np.void]:
     """One state record, in an array of length 1, of a filter to which nothing has happened."""
     states = np.zeros(1, state_type(n, window))
     stamps = (
-        *("time_ns", "imu_ns", "q_ns", "level_ns"),
+        *("time_ns", "imu_ns", "gap_ns", "q_ns", "level_ns"),
         *("dvl_ns", "accepted_ns", "rejected_from_ns", "rejected_ns", "fault_ns"),
+        "wandered_ns",
         *("equal_ns", "unseen_ns"),
     )
     for name in stamps:

@@ -45,9 +45,12 @@ _GROUPS = tuple(name for name in DECIDING if name.endswith("."))
 #: Fields that must be finite, and those that must be covariances.
 _FINITE = (
     *("lat_0", "lon_0", "h_0", "C_n_b", "v_n", "p_n", "b_f", "b_w", "b_d", "w_nb_b"),
-    *("Q_x", "nis"),
+    *("Q_x", "innovations", "nis", "left", "rejected", "fault"),
 )
 _COVARIANCES = ("P", "Q_f", "Q_w")
+
+#: For so long a file that was not used is told of when there is another.
+TOLD_NS = 60 * NS
 
 
 class StateFileError(ValueError):
@@ -98,8 +101,8 @@ def decode(data: bytes, filter_: Filter) -> Records:
     for name in sorted(theirs.keys() | ours.keys()):
         if theirs.get(name) != ours.get(name):
             raise StateFileError(
-                f"it is of other parameters: '{name}' was {theirs.get(name)!r} and is "
-                f"{ours.get(name)!r}"
+                f"it is of other parameters: '{name}' was {files.shown(theirs.get(name))} and is "
+                f"{files.shown(ours.get(name))}"
             )
     record = np.frombuffer(body, start.dtype).copy()
     _check(record[0])
@@ -137,8 +140,9 @@ class StateFile:
         writes: How often it was written.
         failures: How often it could not be.
         error: Why the last attempt failed, None where it did not.
-        unused: Why the file that was there at the start is not used; None where it is, and once
-            there is another.
+        unused: Why the file that was there at the start is not used; None where it is, and when
+            another has been there for `TOLD_NS`. What is not used is set aside under the name with
+            ``.unused`` behind it: the last known position is not lost to a clock that is not set.
         stamp_ns: Stamp of the state that was written last, None before.
     """
 
@@ -152,6 +156,7 @@ class StateFile:
         self.error: str | None = None
         self.unused: str | None = None
         self._loaded_ns: int | None = None
+        self._first_ns: int | None = None  # of what was written
         self.stamp_ns: int | None = None
 
     def load(self) -> Records | None:
@@ -159,7 +164,7 @@ class StateFile:
         try:
             record = load(self.path, self._filter)
         except StateFileError as error:
-            self.unused = str(error)
+            self._set_aside(str(error))
             return None
         if record is not None:
             self._loaded_ns = self._tried_ns = int(record[0]["imu_ns"])
@@ -174,11 +179,24 @@ class StateFile:
             return False
         self._loaded_ns = self._tried_ns = None
         limit = self._filter.parameters.jump_limit
-        self.unused = (
+        self._set_aside(
             f"it is of stamp {stamp_ns / NS:.3f} s and the first sample of {to_ns / NS:.3f} s, "
             f"which is not within jump_limit ({limit:g} s) after it"
         )
         return True
+
+    def _set_aside(self, why: str) -> None:
+        self.unused = why
+        aside = self.path.with_name(f"{self.path.name}.unused")
+        try:
+            if self.path.is_file():
+                os.replace(self.path, aside)
+        except OSError as error:
+            self._fail(f"not set aside: {error.strerror or error}")
+
+    def _fail(self, why: str) -> None:
+        self.failures += 1
+        self.error = why
 
     def offer(self, state: State) -> None:
         """Write a state, where the last one was tried `state_period` before; failures are kept.
@@ -191,24 +209,29 @@ class StateFile:
             return
         self._tried_ns = now_ns
         try:
+            _check(state)  # a good file is not replaced by what no filter would go on from
             files.write(self.path, encode(state, self._filter.parameters))
         except OSError as error:
-            self.failures += 1
-            self.error = error.strerror or str(error)
+            self._fail(error.strerror or str(error))
+        except StateFileError as error:
+            self._fail(f"of the state, {error}")
         else:
+            if self._first_ns is None:
+                self._first_ns = now_ns
+            if not 0 <= now_ns - self._first_ns < TOLD_NS:
+                self.unused = None
             self.writes += 1
-            self.error, self.unused, self.stamp_ns = None, None, now_ns
+            self.error, self.stamp_ns = None, now_ns
 
     def remove(self) -> None:
         """Forget the state; failures are kept."""
-        self._tried_ns = self.stamp_ns = None
+        self._tried_ns = self._first_ns = self.stamp_ns = self.unused = None
         try:
             os.unlink(self.path)
         except FileNotFoundError:
             pass
         except OSError as error:
-            self.failures += 1
-            self.error = error.strerror or str(error)
+            self._fail(error.strerror or str(error))
 
 
 def _deciding(parameters: FilterParameters) -> dict[str, Any]:
@@ -236,7 +259,8 @@ def _check(s: State) -> None:
 
     def require(right: Any, name: str) -> None:
         if not right:
-            raise StateFileError(f"it is damaged: '{name}' is {np.asarray(s[name]).tolist()}")
+            value = files.shown(np.asarray(s[name]).tolist())
+            raise StateFileError(f"it is damaged: '{name}' is {value}")
 
     require(s["initialised"] == 1, "initialised")
     require(0 <= s["time_ns"] == s["imu_ns"], "imu_ns")

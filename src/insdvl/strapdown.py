@@ -23,12 +23,16 @@ from insdvl.rotation import (
 )
 from insdvl.state import Constants, State, Workspace
 
+#: Farthest [m] below or above the origin that gravity follows. Without a depth sensor the height
+#: drifts, and gravity, which falls with it, makes it drift faster and faster.
+MAX_DEPTH = 12_000.0
+
 
 @kernel
 def earth_terms(s: State, w: Workspace, c: Constants) -> None:
     """Earth rate, transport rate matrix and gravity at the state's position into the workspace."""
     lat = earth.latitude(s.lat_0, s.h_0, s.p_n[0])
-    h = s.h_0 - s.p_n[2]
+    h = s.h_0 - min(max(s.p_n[2], -MAX_DEPTH), MAX_DEPTH)
     w.g_n[0] = 0.0
     w.g_n[1] = 0.0
     w.g_n[2] = earth.gravity(lat, h)

@@ -121,5 +121,5 @@ def test_the_core_soaks() -> None:
         assert hour.samples == hour.outputs == 1200
         assert hour.body_velocity_rmse < 0.3
         assert 1.0 < hour.nis < 8.0
-        assert hour.asymmetry < 1e-12 and hour.orthonormality < 1e-12
-        assert 1e-12 < hour.smallest_eigenvalue < 1.0
+        assert hour.health.asymmetry < 1e-12 and hour.health.orthonormality < 1e-12
+        assert 1e-12 < hour.health.smallest_eigenvalue < 1.0

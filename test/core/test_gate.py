@@ -8,13 +8,14 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from insdvl.error_state import ATTITUDE, VELOCITY, body_velocity_jacobian
-from insdvl.events import Dvl, Initial
+from insdvl.events import NS, Dvl, Initial
 from insdvl.filter import Filter
 from insdvl.fold import FoldResult, run
 from insdvl.parameters import (
     DvlParameters,
     FilterParameters,
     GateParameters,
+    ImuParameters,
     InitialParameters,
     OriginParameters,
     ProcessNoiseParameters,
@@ -57,10 +58,14 @@ def fly(
     v_d: np.ndarray,
     *,
     seed: int = SEED,
-    without: int | None = None,
+    without: int | slice | None = None,
+    gap: slice | None = None,
     R: np.ndarray | None = None,
 ) -> FoldResult:
-    """Start with an error drawn from P_0; take ``v_d`` (M, 3) as the pings, less one of them."""
+    """Start with an error drawn from P_0; take ``v_d`` (M, 3) as the pings, less some of them.
+
+    The samples of a gap are missing as well.
+    """
     rng = np.random.default_rng([seed, 1])
     initial = settings.initial
     stds = [initial.tilt_std, initial.tilt_std, initial.heading_std]
@@ -75,7 +80,10 @@ def fly(
     pings = [Dvl(t, v, R) for t, v in zip(m.dvl_stamps_ns.tolist(), v_d, strict=True)]
     if without is not None:
         del pings[without]
-    return run(settings, m.stamps_ns, m.f_b, m.w_ib_b, [start, *pings])
+    samples = [m.stamps_ns, m.f_b, m.w_ib_b]
+    if gap is not None:
+        samples = [np.delete(array, gap, axis=0) for array in samples]
+    return run(settings, *samples, [start, *pings])
 
 
 def body_velocity_error(result: FoldResult, m: Mission) -> np.ndarray:
@@ -252,6 +260,90 @@ def test_a_filter_that_is_far_too_sure_of_itself_is_not_lost() -> None:
         error = np.linalg.norm(body_velocity_error(result, m), axis=1)
         lost += bool((np.convolve(error > 5.0, np.ones(1000)) >= 999.5).any())  # 10 s in a row
     assert lost <= 1
+
+
+# ------------------------------------------------------------------ who is trusted
+
+
+def test_a_filter_that_nothing_has_borne_out_rejects_once() -> None:
+    """Then it is as uncertain as both are apart: the next measurement tells which was right."""
+    m = mission()
+    v_d = m.v_d.copy()
+    v_d[0] += [3.0, 0.0, 0.0]
+    result = fly(parameters(max_rejection_time=60.0), m, v_d)
+    assert [u.report.reason for u in result.updates] == ["gate"] + [""] * 59
+    assert (result.counts["inflations"], result.counts["restarts"]) == (1, 0)
+    k = int(np.searchsorted(m.stamps_ns, m.dvl_stamps_ns[0]))
+    assert np.abs(in_sigmas(result, m)[k]).max() < 3.0
+    assert np.abs(body_velocity_error(result, m)[-1]).max() < 5 * DVL_STD
+
+
+@pytest.mark.parametrize("outage", [0, 6, 20])
+def test_trust_is_the_time_of_accepted_measurements_less_twice_that_of_outages(outage: int) -> None:
+    m = mission()
+    settings = parameters(max_rejection_time=60.0)
+    result = fly(settings, m, m.v_d, without=slice(30, 30 + outage))
+    k = int(np.searchsorted(m.stamps_ns, m.dvl_stamps_ns[30 + outage]))
+    # The measurement behind the outage is outage + 1 s after the one before it.
+    after = 30 if outage == 0 else max(29 - 2 * (outage + 1), 0)
+    assert result.counts["restarts"] == 0
+    assert result.states["trusted_for"][k] == after * NS
+    # The most is what the parameter says.
+    bounded = fly(parameters(max_rejection_time=10.0), m, m.v_d)
+    assert bounded.states["trusted_for"].max() == 10 * NS
+
+
+def test_what_an_outage_may_have_hidden_is_refused_for_five_seconds_at_most() -> None:
+    m = mission(duration=43.0)
+    v_d = m.v_d.copy()
+    v_d[30:] += [5.0, 0.0, 0.0]
+    settings = parameters(max_rejection_time=60.0)
+    result = fly(settings, m, v_d, without=slice(20, 30))
+    reasons = [u.report.reason for u in result.updates]
+    assert reasons == [""] * 20 + ["gate"] * 6 + [""] * 7
+    # Without the outage the DVL is at fault, and the filter trusted for 29 s.
+    assert [u.report.reason for u in fly(settings, m, v_d).updates][30:] == ["gate"] * 13
+
+
+def test_what_a_gap_may_have_hidden_is_refused_for_five_seconds_at_most() -> None:
+    """Two seconds of samples are missing, and in them the velocity has changed by 3 m/s."""
+    m = mission(duration=43.0)
+    v_d = m.v_d.copy()
+    v_d[30:] += [3.0, 0.0, 0.0]
+    imu = ImuParameters(gap_acceleration_std=0.05, gap_rate_std=0.002)
+    settings = replace(parameters(max_rejection_time=60.0), imu=imu)
+    reasons = [u.report.reason for u in fly(settings, m, v_d, gap=slice(2890, 3090)).updates]
+    first = reasons.index("gate")
+    assert first in (29, 30) and reasons[first:].count("gate") <= 7
+    assert not any(reasons[first + 7 :])
+    # Without the gap the DVL is at fault, and the filter trusted for 29 s.
+    assert [u.report.reason for u in fly(settings, m, v_d).updates][30:] == ["gate"] * 13
+
+
+def test_a_mean_nis_that_is_too_large_takes_the_trust_away() -> None:
+    """An honest filter keeps it; one whose R is eight times too small in variance has none."""
+    m = mission(duration=120.0)
+    settings = parameters(max_rejection_time=60.0, probability=1.0 - 1e-9)
+    honest = fly(settings, m, m.v_d).states["trusted_for"]
+    assert (honest[6500:] == 60 * NS).all()
+    sure = fly(settings, m, m.v_d, R=np.eye(3) * DVL_STD**2 / 8.0)
+    assert (sure.states["trusted_for"][3000:] < 30 * NS).all()
+    assert sure.states["trusted_for"][3000:].min() == 0
+    nis = [u.report.nis for u in sure.updates]
+    assert np.mean(nis) > 7.0
+
+
+def test_drift_ends_the_patience_and_a_constant_error_does_not() -> None:
+    """The innovation grows by 0.5 m/s with every measurement, and stays at 5 m/s."""
+    m = mission(duration=44.0)
+    settings = parameters(max_rejection_time=60.0)
+    grows, stays = m.v_d.copy(), m.v_d.copy()
+    grows[20:] += np.arange(2, 26)[:, None] * [0.5, 0.0, 0.0]
+    stays[20:36] += [5.0, 0.0, 0.0]
+    reasons = [u.report.reason for u in fly(settings, m, grows).updates]
+    assert reasons[20] == "gate" and reasons[20:].count("gate") < 10
+    reasons = [u.report.reason for u in fly(settings, m, stays).updates]
+    assert reasons[20:] == ["gate"] * 16 + [""] * 8
 
 
 # ------------------------------------------------------------------ a DVL that is at fault

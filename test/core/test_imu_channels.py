@@ -29,11 +29,12 @@ SEED = 173_205
 STEP = 10_000_000
 FROZEN = 50
 SIGMA_F, SIGMA_W = 0.5, 0.05  # gap_acceleration_std, gap_rate_std
+RANGE_F, RANGE_W = 20.0, 2.0
 
 SETTINGS = FilterParameters(
     frame_convention="ned",
     earth_rate=False,
-    imu=ImuParameters(acceleration_range=20.0, rate_range=2.0, frozen_samples=FROZEN),
+    imu=ImuParameters(acceleration_range=RANGE_F, rate_range=RANGE_W, frozen_samples=FROZEN),
     dvl=DvlParameters(lever_arm=(0.5, 0.0, 0.3)),
     process_noise=ProcessNoiseParameters(
         accelerometer_variance=(1e-6,) * 3, gyroscope_variance=(1e-8,) * 3
@@ -122,19 +123,19 @@ def test_a_gap_does_not_thaw() -> None:
 
 
 @pytest.mark.parametrize("channel", range(6))
-def test_a_saturated_channel_adds_what_a_gap_adds_on_its_axis(channel: int) -> None:
-    """(sigma T)^2 after T, on that axis, in all while it lasts, nothing before and after."""
+def test_a_saturated_channel_adds_what_its_range_may_hide(channel: int) -> None:
+    """(range T)^2 after T, on that axis, in all while it lasts, nothing before and after."""
     z = readings(160)
     z[40:80, channel] = 25.0
     T = 0.01 * np.arange(1, 41)
-    sigma = SIGMA_F if channel < 3 else SIGMA_W
+    sigma = RANGE_F if channel < 3 else RANGE_W
     own = channel
     assert added(z, 39)[own] == 0.0
     for k in (0, 9, 39):
         assert added(z, 40 + k)[own] == pytest.approx((sigma * T[k]) ** 2, rel=1e-3)
     assert added(z, 80)[own] == pytest.approx((sigma * T[-1]) ** 2, rel=0.05)
     if channel < 3:
-        assert np.delete(added(z, 79), own) == pytest.approx(0.0, abs=1e-9)
+        assert np.delete(added(z, 79), own) == pytest.approx(0.0, abs=1e-6)
 
 
 @pytest.mark.parametrize("channel", range(6))
@@ -254,6 +255,22 @@ def test_the_turn_rate_of_a_frozen_gyroscope_is_not_known() -> None:
     arm = S[1] - S[0]
     assert arm[0, 0] > 0.8 * (0.3 * SIGMA_W) ** 2
     assert arm[2, 2] > 0.8 * (0.5 * SIGMA_W) ** 2
+
+
+@pytest.mark.parametrize("frozen_samples", [0, FROZEN])
+def test_the_heading_is_covered_in_a_turn_beyond_the_range_and_when_stuck_there(
+    frozen_samples: int,
+) -> None:
+    """Two seconds at the end of the range: the vehicle turns a third faster, or not at all."""
+    settings = replace(SETTINGS, imu=replace(SETTINGS.imu, frozen_samples=frozen_samples))
+    z = readings(300)
+    z[50:250, 5] = RANGE_W
+    s = fold(z, settings=settings).states[-1]
+    heading = np.arctan2(s["C_n_b"][1, 0], s["C_n_b"][0, 0])
+    for truth in (4.0 / 3.0 * RANGE_W * 2.0, 0.0):
+        error = (heading - truth + np.pi) % (2.0 * np.pi) - np.pi
+        assert abs(error) < 2.0 * np.sqrt(s["P"][5, 5])
+    assert np.sqrt(s["P"][5, 5]) == pytest.approx(RANGE_W * 2.0, rel=0.01)
 
 
 # ------------------------------------------------------------------ on a mission

@@ -390,18 +390,46 @@ def test_folder_that_is_not_there_or_not_writable_is_counted(tmp_path: Path) -> 
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_is_not_used_is_said_until_there_is_another(tmp_path: Path) -> None:
+def test_what_is_not_used_is_said_for_a_minute_and_set_aside(tmp_path: Path) -> None:
     path = tmp_path / "state"
     path.write_bytes(b"nothing of ours")
     fold = Fold(PARAMETERS)
     file = StateFile(path, fold.filter)
     assert file.load() is None
     assert file.unused is not None and "damaged" in file.unused
+    assert (tmp_path / "state.unused").read_bytes() == b"nothing of ours"
     rest(fold, 1, 2)
     file.offer(fold.latest)
+    assert path.is_file() and file.unused is not None
+    later = fold.latest.copy()
+    later["imu_ns"] = later["time_ns"] = START_NS + 70 * NS
+    file.offer(later)
     assert file.unused is None
+    file.path = tmp_path / "beside"
+    file.offer(fold.latest)
+    path.write_bytes(file.path.read_bytes())
     again = StateFile(path, fold.filter)
     assert again.load() is not None
     assert not again.left_at(START_NS, START_NS + 40 * NS)
     assert again.left_at(START_NS + NS // 100, START_NS + 40 * NS)
     assert again.unused is not None and "within jump_limit (30 s)" in again.unused
+    assert not path.exists()
+    assert StateFile(tmp_path / "state.unused", fold.filter).load() is not None
+
+
+def test_a_state_that_could_not_be_read_again_does_not_replace_a_good_one(tmp_path: Path) -> None:
+    path = tmp_path / "state"
+    fold = Fold(PARAMETERS)
+    file = StateFile(path, fold.filter)
+    rest(fold, 1, 2)
+    file.offer(fold.latest)
+    good = path.read_bytes()
+    for name, value in (("v_n", np.nan), ("P", -1.0), ("p_n", 1e12)):
+        bad = fold.latest.copy()
+        bad[name] = value
+        bad["imu_ns"] = bad["time_ns"] = START_NS + 10 * NS
+        file.offer(bad)
+        assert file.error is not None and name in file.error
+        assert path.read_bytes() == good
+        file._tried_ns = None
+    assert (file.writes, file.failures) == (1, 3)

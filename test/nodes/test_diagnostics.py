@@ -160,11 +160,13 @@ def test_every_counted_reason_has_a_remedy() -> None:
 
 def test_one_rejection_by_the_gate_is_chance_and_two_are_told() -> None:
     f = Filter()
-    f.dvl(START_NS + NS // 10, 50.0)
-    f.samples(1, 21)
+    f.dvl(START_NS + NS // 20)
+    f.dvl(START_NS + NS)
+    f.dvl(START_NS + NS + NS // 10, 50.0)
+    f.samples(1, 121)
     assert wrong(f.look()) == {}
-    f.dvl(START_NS + NS // 5, 50.0)
-    f.samples(21, 22)
+    f.dvl(START_NS + NS + NS // 5, 50.0)
+    f.samples(121, 122)
     statuses = f.look()
     assert wrong(statuses) == {"dvl": WARN}
     assert "2 gate" in statuses["dvl"].message

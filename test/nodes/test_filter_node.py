@@ -466,7 +466,7 @@ def test_gated_measurement_is_counted_and_published(graph: Any) -> None:
     _, values = g.status()
     assert values["rejected dvl: gate"] == "1"
     assert values["DVL updates rejected"] == "1"
-    assert float(values["NIS, mean of 1"]) > 1000.0
+    assert not any(key.startswith("NIS") for key in values)  # that is of those that were used
 
 
 def test_gaps_and_rate_are_told(graph: Any) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from insdvl.faults import page
-from ros_insdvl_sim import faults, soak
+from ros_insdvl_sim import faults, process_rows, soak
 
 
 def test_a_fault_row_of_the_network_is_met(tmp_path: Path) -> None:
@@ -18,6 +18,11 @@ def test_a_fault_row_of_the_network_is_met(tmp_path: Path) -> None:
     assert row["fault"] in (tmp_path / "reliability.md").read_text()
 
 
+def test_the_short_form_has_the_rows_that_it_names() -> None:
+    assert {row.name for row in faults.short_rows()} == set(faults.SHORT)
+    assert sum(in_short for _, in_short, _ in process_rows.ROWS) == 1
+
+
 def test_legs_of_a_soak_add_up(tmp_path: Path) -> None:
     options = ["--leg", "20", "--rate-factor", "4", "--out", str(tmp_path)]
     assert soak.run(soak.parse([*options, "--hours", "2"])) == 0
@@ -25,7 +30,7 @@ def test_legs_of_a_soak_add_up(tmp_path: Path) -> None:
     first = json.loads(file.read_text())["legs"]
     assert [leg["leg"] for leg in first] == [0, 1]
     for leg in first:
-        assert soak.lost(leg) == 0
+        assert page.lost(leg) == 0
         assert {row["sent"] for row in leg["messages"] if row["topic"] == "imu/data_raw"} == {2000}
         assert leg["nis"] < 8.0 and leg["body_velocity_rmse"] < 0.5
         assert leg["memory"]["filter"]["end"] > 10.0

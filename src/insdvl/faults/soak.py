@@ -1,7 +1,7 @@
-"""Hours of mission through the core alone: messages in, odometry out, in one process.
+"""The core alone for long: hours of mission, messages in and odometry out; millions of steps.
 
-The motion is a level circle that closes in each hour, so hour follows hour without a seam; every
-hour has noise of its own, and no bias, which would change at the seam.
+The motion of the mission is a level circle that closes in each hour, so hour follows hour without a
+seam; every hour has noise of its own, and no bias, which would change at the seam.
 """
 
 import heapq
@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl import messages
-from insdvl.events import NS
+from insdvl.events import NS, Dvl, Imu
 from insdvl.faults.stream import Arrival, dvl_arrivals, imu_arrivals
+from insdvl.filter import Filter
 from insdvl.fold import AppliedUpdate, Fold
 from insdvl.frames import ENU, NED, rpy_from_rotation
 from insdvl.inputs import Inputs
@@ -31,12 +32,19 @@ from insdvl.tuner.tuner import Tuner
 Array = NDArray[np.float64]
 
 LEG = 3600.0  # s of mission: a whole number of circles
-IMU = ImuModel(
+SENSORS = ImuModel(
     accelerometer_bias_std=0.0,
     gyroscope_bias_std=0.0,
     accelerometer_bias_walk=0.0,
     gyroscope_bias_walk=0.0,
 )
+
+
+#: Filters whose steps are counted in millions; the gate would begin anew where it is right to.
+STEPPED: dict[str, dict[str, Any]] = {
+    "invariant, with DVL error": {"dvl.bias_model": "gauss_markov", "gate.enabled": False},
+    "ned": {"error_state": "ned", "gate.enabled": False},
+}
 
 
 def start_parameters() -> dict[str, Any]:
@@ -56,9 +64,38 @@ def hour(number: int, duration: float = LEG) -> Mission:
         SCENARIOS["varying"],
         seed=1 + number,
         duration=duration,
-        imu=IMU,
+        imu=SENSORS,
         start_ns=round(number * duration * NS),
     )
+
+
+@dataclass(frozen=True)
+class Health:
+    """How well the numbers hold, each the worst of many states.
+
+    Attributes:
+        asymmetry: Largest |P - P^T|, relative to the standard deviations.
+        smallest_eigenvalue: Of the correlation matrix of P, which is positive definite while this
+            is above 0.
+        orthonormality: Largest element of |C^T C - I|.
+    """
+
+    asymmetry: float = 0.0
+    smallest_eigenvalue: float = 1.0
+    orthonormality: float = 0.0
+
+    def with_state(self, state: State) -> "Health":
+        """The worst of this and of a state; nan where the state is not finite."""
+        P, C = state["P"], state["C_n_b"]
+        if not all(np.isfinite(state[name]).all() for name in ("C_n_b", "v_n", "p_n", "P")):
+            return Health(np.nan, np.nan, np.nan)
+        sigma = np.sqrt(np.diag(P))
+        correlation = P / np.outer(sigma, sigma)
+        return Health(
+            float(np.maximum(self.asymmetry, np.abs(correlation - correlation.T).max())),
+            float(np.minimum(self.smallest_eigenvalue, np.linalg.eigvalsh(correlation)[0])),
+            float(np.maximum(self.orthonormality, np.abs(C.T @ C - np.eye(3)).max())),
+        )
 
 
 @dataclass(frozen=True)
@@ -72,10 +109,7 @@ class Hour:
         memory: Resident memory of the process at its end [MB].
         nis: Mean normalised innovation squared.
         body_velocity_rmse: [m/s].
-        asymmetry: Largest |P - P^T| after an update, relative to the standard deviations.
-        smallest_eigenvalue: Of the correlation matrix of P, after an update; P is positive definite
-            while this is above 0.
-        orthonormality: Largest element of |C^T C - I| after an update.
+        health: After the updates.
     """
 
     samples: int
@@ -84,9 +118,7 @@ class Hour:
     memory: float
     nis: float
     body_velocity_rmse: float
-    asymmetry: float
-    smallest_eigenvalue: float
-    orthonormality: float
+    health: Health
 
 
 def run(hours: int, duration: float = LEG) -> Iterator[Hour]:
@@ -105,19 +137,18 @@ def run(hours: int, duration: float = LEG) -> Iterator[Hour]:
         k = outputs = 0
         squared, seconds = 0.0, 0.0
         nis: list[float] = []
-        numbers: list[tuple[float, float, float]] = []
+        health = Health()
         for arrival in _arrivals(mission):
             begin = time.perf_counter()
             for output in _taken(arrival, fold, inputs, tuner):
                 if isinstance(output, AppliedUpdate):
                     nis.append(output.report.nis)
-                    numbers.append(_health(fold.states[-1]))
+                    health = health.with_state(fold.states[-1])
                     continue
                 error = output.twist_linear - v_b[k]
                 squared += float(error @ error)
                 outputs, k = outputs + 1, k + 1
             seconds += time.perf_counter() - begin
-        asymmetry, eigenvalue, orthonormality = np.array(numbers).T
         yield Hour(
             samples=mission.stamps_ns.size,
             outputs=outputs,
@@ -125,22 +156,37 @@ def run(hours: int, duration: float = LEG) -> Iterator[Hour]:
             memory=memory(os.getpid()),
             nis=float(np.mean(nis)),
             body_velocity_rmse=float(np.sqrt(squared / max(outputs, 1))),
-            asymmetry=float(asymmetry.max()),
-            smallest_eigenvalue=float(eigenvalue.min()),
-            orthonormality=float(orthonormality.max()),
+            health=health,
         )
 
 
-def _health(state: State) -> tuple[float, float, float]:
-    """Asymmetry, smallest eigenvalue of the correlations, and orthonormality, see `Hour`."""
-    P, C = state["P"], state["C_n_b"]
-    sigma = np.sqrt(np.diag(P))
-    correlation = P / np.outer(sigma, sigma)
-    return (
-        float(np.abs(correlation - correlation.T).max()),
-        float(np.linalg.eigvalsh(correlation)[0]),
-        float(np.abs(C.T @ C - np.eye(3)).max()),
-    )
+def steps(parameters: FilterParameters, millions: int, seed: int) -> Iterator[Health]:
+    """A quick turn for millions of predictions, an update after each thousand; the health of each.
+
+    Args:
+        parameters: Of a filter that starts from them.
+        millions: How many.
+        seed: Of the noise.
+    """
+    filter_, chunk, rounds = Filter(parameters), 1000, 1000
+    rng = np.random.default_rng(seed)
+    f_b = np.array([0.1, -0.2, -9.8]) + rng.normal(0.0, 0.1, (chunk, 3))
+    w_ib_b = np.array([0.02, -0.01, 0.3]) + rng.normal(0.0, 0.03, (chunk, 3))
+    readings = np.hstack([f_b, w_ib_b])
+    state = filter_.start()
+    states = np.empty(chunk, state.dtype)
+    filter_.await_start(state, Imu(0, f_b[0], w_ib_b[0]), readings[0])
+    step_ns = round(NS / parameters.imu.rate)
+    stamps_ns = np.arange(1, chunk + 1) * step_ns
+    for _ in range(millions):
+        health = Health()
+        for _ in range(rounds):
+            filter_.predict_samples(state, stamps_ns, f_b, w_ib_b, readings, 0, chunk, states)
+            v_d = rng.normal((1.0, 0.0, 0.0), 0.05)
+            filter_.update(state, Dvl(int(stamps_ns[-1]), v_d), w_ib_b[-25:].mean(axis=0), 25)
+            health = health.with_state(state[0])
+            stamps_ns += chunk * step_ns
+        yield health
 
 
 def _taken(arrival: Arrival, fold: Fold, inputs: Inputs, tuner: Tuner) -> list[Any]:
