@@ -198,7 +198,7 @@ def test_a_dvl_outage_is_told_with_its_length_and_sigma_and_ends() -> None:
     assert wrong(f.look()) == {"dvl": ERROR}
     f.dvl(at(699))
     f.samples(700, 701, NS // 10)
-    assert wrong(f.look()) == {}
+    assert wrong(f.look(10.0)) == {}  # the rejection had made the velocity uncertain
 
 
 def test_a_silent_imu_is_an_error_until_it_comes_back() -> None:
