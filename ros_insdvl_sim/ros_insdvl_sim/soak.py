@@ -11,7 +11,7 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -302,12 +302,7 @@ def search() -> tuple[float, list[dict[str, Any]]]:
     while factor <= LAST_FACTOR:
         with graph(factor) as flown:
             leg = flown.fly(0, round(TRIAL_TIME * factor))
-        trial = {
-            "rate_factor": factor,
-            "held": leg["held"],
-            "lost": page.lost(leg),
-            "latency": leg["latency"][-1]["p50"],
-        }
+        trial = _trial(leg)
         tried.append(trial)
         print(
             f"{factor:g} times real time: held {trial['held']:.3f}, lost {trial['lost']}, latency "
@@ -321,6 +316,52 @@ def search() -> tuple[float, list[dict[str, Any]]]:
     if not best:
         raise HarnessError(f"messages are lost or late at {FIRST_FACTOR:g} times real time already")
     return best, tried
+
+
+def add_legs(
+    document: dict[str, Any], count: int, duration: float, keep: Callable[[], None]
+) -> None:
+    """Add legs to the document, and keep each.
+
+    Where the speed was searched for, one at which a leg loses something is one more trial that
+    failed, and the next leg is a step slower.
+
+    Raises:
+        HarnessError: No speed is left, or a process died.
+    """
+    done = 0
+    while done < count:
+        rate_factor = document["rate_factor"]
+        if document["search"] and rate_factor < FIRST_FACTOR:
+            raise HarnessError(f"messages are lost at {FIRST_FACTOR:g} times real time already")
+        with graph(rate_factor) as flown:
+            too_fast = False
+            while done < count and not too_fast:
+                leg = flown.fly(len(document["legs"]), duration)
+                too_fast = bool(document["search"]) and page.lost(leg) > 0
+                if too_fast:
+                    document["search"].append(_trial(leg))
+                    document["rate_factor"] = round(rate_factor / STEP, 1)
+                else:
+                    document["legs"].append(leg)
+                    done += 1
+                keep()
+                print(
+                    f"leg {leg['leg'] + 1}: {rate_factor:g} times real time, {leg['wall']:.0f} s, "
+                    f"lost {page.lost(leg)}, NIS {shown(leg['nis'], 3)}",
+                    flush=True,
+                )
+
+
+def _trial(leg: dict[str, Any]) -> dict[str, Any]:
+    """What the page tells of a trial of a speed."""
+    return {
+        "rate_factor": leg["rate_factor"],
+        "mission": leg["mission"],
+        "held": leg["held"],
+        "lost": page.lost(leg),
+        "latency": leg["latency"][-1]["p50"],
+    }
 
 
 def run(options: argparse.Namespace) -> int:
@@ -360,17 +401,7 @@ def run(options: argparse.Namespace) -> int:
         elif document["rate_factor"] is None:
             document["rate_factor"], document["search"] = search()
             keep()
-        with graph(document["rate_factor"]) as flown:
-            first = len(document["legs"])
-            for number in range(first, first + options.hours):
-                leg = flown.fly(number, options.leg)
-                document["legs"].append(leg)
-                keep()
-                print(
-                    f"leg {number + 1}: {leg['wall']:.0f} s, lost {page.lost(leg)}, "
-                    f"NIS {shown(leg['nis'], 3)}",
-                    flush=True,
-                )
+        add_legs(document, options.hours, options.leg, keep)
     return 1 if any(page.lost(leg) for leg in document["legs"]) else 0
 
 
