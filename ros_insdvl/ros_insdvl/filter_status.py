@@ -100,7 +100,7 @@ class FilterWatch:
         """A DVL measurement was used, or not."""
         report = update.report
         self._updates["accepted" if report.accepted else "rejected"] += 1
-        if report.accepted and not report.reason:  # a restart tells of what was before it
+        if report.corrected:
             self._nis.append(report.nis)
 
     def published(self, output: Odometry, now_ns: int) -> None:

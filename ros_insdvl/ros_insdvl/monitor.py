@@ -113,7 +113,7 @@ class Watched:
 
     Attributes:
         values: All values of its last diagnostics.
-        level: The worst level of its statuses; STALE when it has told none for `STALE_TIME`.
+        level: The worst level of its statuses; stale when it has told none for `STALE_TIME`.
         message: The worst of them, with its cause.
         told_at: When it told them, on the monotonic clock [s].
     """
@@ -129,7 +129,8 @@ class Watched:
     def look(self) -> None:
         """See whether it still tells anything."""
         if self.told_at is not None and (silence := time.monotonic() - self.told_at) > STALE_TIME:
-            self.level, self.message = "STALE", f"nothing told for {silence:.0f} s: it has ended?"
+            self.level = LEVELS[DiagnosticStatus.STALE]
+            self.message = f"nothing told for {silence:.0f} s: it has ended?"
 
     def tell(self, statuses: list[DiagnosticStatus]) -> None:
         """Take the node's last statuses."""

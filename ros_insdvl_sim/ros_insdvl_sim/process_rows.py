@@ -122,7 +122,6 @@ class Sea:
         sensors = Sensors(start_ns=round(START_S * NS))
         mission = stream_of(sensors, SEED, 2.0).mission
         values = flatten(parameters_of(mission, sensors, SEED, {}))
-        values = {name: list(v) if isinstance(v, tuple) else v for name, v in values.items()}
         kept = ("initial.rpy", "initial.velocity", "origin.height")
         return {
             **{name: value for name, value in values.items() if name in kept},

@@ -137,10 +137,7 @@ class Graph:
             "filter",
             FILTER,
             {
-                **{
-                    name: list(value) if isinstance(value, tuple) else value
-                    for name, value in soak.start_parameters().items()
-                },
+                **soak.start_parameters(),
                 "process_noise.source": "external",
                 "max_delay": 10.0,
                 **lossless("/imu/data_raw", "/dvl/velocity"),
@@ -371,8 +368,13 @@ def run(options: argparse.Namespace) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / "soak.json"
     check_writable(file, "--out")
-    document: dict[str, Any] = {"search": [], "rate_factor": None, "legs": [], "core": []}
-    document |= {"steps": {}}
+    document: dict[str, Any] = {
+        "search": [],
+        "rate_factor": None,
+        "legs": [],
+        "core": [],
+        "steps": {},
+    }
     if file.exists():
         document |= json.loads(file.read_text(encoding="utf-8"))
 

@@ -78,6 +78,11 @@ class UpdateReport:
     accepted: bool
     reason: str
 
+    @property
+    def corrected(self) -> bool:
+        """Whether the innovation corrected the state; a restart only sets the velocity."""
+        return self.accepted and not self.reason
+
 
 #: The states that the noise of the samples drives are those before this one.
 _INPUT = ATTITUDE.stop

@@ -222,10 +222,9 @@ class Fold:
             return reason
         if self._count:
             ahead_ns = event.stamp_ns - self.newest_ns
-            limit_ns = self._limit_ns(event)
             if ahead_ns < -self._max_delay_ns:
                 return self._suspect(event, "too_late")
-            if ahead_ns > limit_ns:
+            if ahead_ns > self._limit_ns(event):
                 return self._suspect(event, "far_ahead")
         reason = self._insert(event)
         if isinstance(event, Imu) and reason is None:

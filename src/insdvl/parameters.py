@@ -243,6 +243,31 @@ def flatten(group: Any, prefix: str = "") -> dict[str, Any]:
     return values
 
 
+def _mount(sensor: str) -> Any:
+    """How a sensor is turned against the vehicle."""
+    return parameter(
+        (0.0, 0.0, 0.0),
+        f"Rotation from {sensor} axes to base_link axes, as roll, pitch, yaw of the {sensor} in "
+        "base_link.",
+        unit="rad",
+        low=-2 * math.pi,
+        high=2 * math.pi,
+        length=3,
+    )
+
+
+def _lever_arm(sensor: str) -> Any:
+    """Where a sensor sits in the vehicle."""
+    return parameter(
+        (0.0, 0.0, 0.0),
+        f"Position of the {sensor} in base_link.",
+        unit="m",
+        low=-1000.0,
+        high=1000.0,
+        length=3,
+    )
+
+
 @dataclass(frozen=True)
 class ImuParameters:
     """The real IMU."""
@@ -254,22 +279,8 @@ class ImuParameters:
         above=0.0,
         high=10_000.0,
     )
-    mount: tuple[float, ...] = parameter(
-        (0.0, 0.0, 0.0),
-        "Rotation from IMU axes to base_link axes, as roll, pitch, yaw of the IMU in base_link.",
-        unit="rad",
-        low=-2 * math.pi,
-        high=2 * math.pi,
-        length=3,
-    )
-    lever_arm: tuple[float, ...] = parameter(
-        (0.0, 0.0, 0.0),
-        "Position of the IMU in base_link.",
-        unit="m",
-        low=-1000.0,
-        high=1000.0,
-        length=3,
-    )
+    mount: tuple[float, ...] = _mount("IMU")
+    lever_arm: tuple[float, ...] = _lever_arm("IMU")
     frame_id: str = parameter(
         "", "A sample of any other frame_id is refused as 'wrong_frame'; empty for any."
     )
@@ -313,22 +324,8 @@ class DvlParameters:
     frame_id: str = parameter(
         "", "A measurement of any other frame_id is refused as 'wrong_frame'; empty for any."
     )
-    mount: tuple[float, ...] = parameter(
-        (0.0, 0.0, 0.0),
-        "Rotation from DVL axes to base_link axes, as roll, pitch, yaw of the DVL in base_link.",
-        unit="rad",
-        low=-2 * math.pi,
-        high=2 * math.pi,
-        length=3,
-    )
-    lever_arm: tuple[float, ...] = parameter(
-        (0.0, 0.0, 0.0),
-        "Position of the DVL in base_link.",
-        unit="m",
-        low=-1000.0,
-        high=1000.0,
-        length=3,
-    )
+    mount: tuple[float, ...] = _mount("DVL")
+    lever_arm: tuple[float, ...] = _lever_arm("DVL")
     noise_std: tuple[float, ...] = parameter(
         (0.1, 0.1, 0.1),
         "Noise of each velocity component, one sigma; a covariance in the message replaces it.",
@@ -809,22 +806,8 @@ class SimulatedDvlParameters:
     """The simulated DVL."""
 
     rate: float = parameter(1.0, "Pings per second.", unit="Hz", low=0.01, high=100.0)
-    mount: tuple[float, ...] = parameter(
-        (0.0, 0.0, 0.0),
-        "Rotation from DVL axes to base_link axes, as roll, pitch, yaw of the DVL in base_link.",
-        unit="rad",
-        low=-2 * math.pi,
-        high=2 * math.pi,
-        length=3,
-    )
-    lever_arm: tuple[float, ...] = parameter(
-        (0.0, 0.0, 0.0),
-        "Position of the DVL in base_link.",
-        unit="m",
-        low=-1000.0,
-        high=1000.0,
-        length=3,
-    )
+    mount: tuple[float, ...] = _mount("DVL")
+    lever_arm: tuple[float, ...] = _lever_arm("DVL")
     noise_std: tuple[float, ...] = parameter(
         (0.1, 0.1, 0.1),
         "White noise of each velocity component, one sigma.",

@@ -334,11 +334,10 @@ def errors_of(
 ) -> dict[str, Any]:
     """The errors at those stamps of the truth (M,) at which there is a state, and the NIS.
 
-    ``velocity_rmse`` is of the vector in navigation axes; ``nis_mean`` is over the accepted DVL
-    updates. What cannot be told is None.
+    ``velocity_rmse`` is of the vector in navigation axes; ``nis_mean`` is over the DVL updates
+    that corrected the state. What cannot be told is None.
     """
-    reports = [update.report for update in fold.updates]
-    nis = [r.nis for r in reports if r.accepted and not r.reason]  # a restart is no fit
+    nis = [update.report.nis for update in fold.updates if update.report.corrected]
     times_ns = fold.states["time_ns"][fold.states["initialised"] != 0]
     inside = np.zeros(len(stamps_ns), dtype=bool)
     if times_ns.size:
@@ -376,27 +375,27 @@ def errors_of(
 def report(recording: Sequence[Raw], replayed: Replayed) -> dict[str, Any]:
     """The numbers of the command's JSON; None where the recording has nothing to compare with.
 
-    Beside `errors_of`, the autocorrelation of the innovations is over the accepted DVL updates.
+    Beside `errors_of`, the autocorrelation of the innovations of the DVL updates that corrected.
     Where time has jumped, what compares with the truth is of the last part, the counts are of all.
     """
     fold = replayed.fold
     updates = replayed.updates
-    accepted = [update.report for update in updates if update.report.accepted]
+    corrected = [update.report for update in updates if update.report.corrected]
     reasons = Counter(u.report.reason for u in updates if not u.report.accepted)
     for key, count in replayed.rejected.items():
         topic, reason = key.split(": ")
         if topic.startswith("dvl/"):
             reasons[reason] += count
-    nu = np.array([r.innovation for r in accepted]).reshape(-1, 3)
-    S = np.array([r.S for r in accepted]).reshape(-1, 3, 3)
+    nu = np.array([r.innovation for r in corrected]).reshape(-1, 3)
+    S = np.array([r.S for r in corrected]).reshape(-1, 3, 3)
     known = replayed.initialised
     times_ns = fold.states["time_ns"][known]
     return errors_of(fold, *truth_of(recording)) | {
-        "dvl_accepted": len(accepted),
+        "dvl_accepted": sum(u.report.accepted for u in updates),
         "dvl_rejected": sum(reasons.values()),
         "dvl_rejected_by_reason": dict(reasons),
         "innovation_autocorrelation": (
-            autocorrelation(normalised_innovations(nu, S), LAGS) if len(accepted) > LAGS else None
+            autocorrelation(normalised_innovations(nu, S), LAGS) if len(corrected) > LAGS else None
         ),
         "imu_samples": sum(len(part.states) for part in replayed.parts),
         "first_stamp": times_ns[0] / NS if known.size else None,

@@ -266,7 +266,9 @@ seconds are theirs, without making the messages. After every DVL update: the lar
 and the smallest eigenvalue, both of its correlations, and the largest element of $|C^T C - I|$.
 """
 
-_HEALTH = ("asymmetry", "smallest eigenvalue", "orthonormality")
+#: Of each number of `soak.Health`: which is the worst of many.
+_WORST = {"asymmetry": max, "smallest_eigenvalue": min, "orthonormality": max}
+_HEALTH = tuple(name.replace("_", " ") for name in _WORST)
 
 _STEPS = """
 ### Millions of steps
@@ -286,17 +288,11 @@ def _steps(filters: Mapping[str, Sequence[Mapping[str, float]]]) -> str:
 
 
 def _worst(health: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    return {
-        "asymmetry": max(h["asymmetry"] for h in health),
-        "smallest_eigenvalue": min(h["smallest_eigenvalue"] for h in health),
-        "orthonormality": max(h["orthonormality"] for h in health),
-    }
+    return {name: worst(h[name] for h in health) for name, worst in _WORST.items()}
 
 
 def _health(health: Mapping[str, float]) -> list[str]:
-    return [
-        f"{health[name]:.1e}" for name in ("asymmetry", "smallest_eigenvalue", "orthonormality")
-    ]
+    return [f"{health[name]:.1e}" for name in _WORST]
 
 
 def _core(hours: Sequence[Mapping[str, Any]]) -> str:
