@@ -164,9 +164,17 @@ class FilterWatch:
                 f"{count} initial states in the last {RECENT:.0f} s were of a time long before the "
                 "first IMU sample and are not used: look at the sender's clock",
             )
+        if count := view.recent["not_level"]:
+            status.complain(
+                WARN,
+                "not level",
+                f"levelling began anew {count} times in the last {RECENT:.0f} s, for the specific "
+                "force was not as large as gravity or samples were missing: keep the vehicle "
+                "still, look at the IMU and its unit",
+            )
         view.show(status, *told)
         view.refused(status, told)
-        self._show_counters(status, "without_origin", "too_old")
+        self._show_counters(status, "without_origin", "too_old", "not_level")
         return status
 
     def _imu(self, view: View) -> Status:

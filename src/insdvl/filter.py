@@ -8,9 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit
 from scipy.stats import chi2
 
 from insdvl import error_state, strapdown
+from insdvl.earth import gravity
 from insdvl.error_state import (
     ACCELEROMETER_BIAS,
     ATTITUDE,
@@ -49,6 +51,8 @@ LEAST_PATIENCE_NS = 5 * NS
 NIS_MEMORY, NIS_LIMIT = 5.0, 7.0
 #: Most tilt, one sigma [rad], that an inflation takes for possible.
 LARGEST_TILT_DOUBT = 0.5
+#: What the mean specific force at rest may differ from gravity, as a fraction of it.
+LEVEL_TOLERANCE = 0.05
 
 #: An update is iterated while h bends by more than the mean sigma of R, but not for ever: each
 #: iteration leaves a fraction.
@@ -219,6 +223,9 @@ def _advance(
     if in_doubt:
         _replace_frozen(s, w, c, f_hat, w_hat)
     strapdown.mechanise(s, w, c, f_hat, w_hat, dt)
+    forgotten = np.exp(-c.bias_rate * dt)
+    for i in range(3):
+        s.b_d[i] *= forgotten
 
     # Densities of the input noise; in a gap, of the motion that was not seen as well: a constant
     # error of one sigma over the gap T grows to (sigma T)^2, as a density sigma^2 T does.
@@ -484,7 +491,7 @@ class Filter:
             s["imu_ns"] = stamp_ns  # samples are missing from here on: a long wait is a gap
         s["time_ns"], s["initialised"] = stamp_ns, 1
         s["innovation_count"], s["Q_x"], s["trusted_for"] = 0, 0.0, 0
-        s["nis"] = 3.0
+        s["nis"], s["doubt_until_ns"] = 3.0, NEVER
         self._trust_dvl(s)
         # What a channel has not shown before is in the state that was told.
         s["unseen_ns"], s["equal_ns"] = NEVER, np.maximum(s["equal_ns"], stamp_ns)
@@ -510,8 +517,14 @@ class Filter:
         s["imu_ns"] = s["time_ns"] = sample.stamp_ns
 
     def _level(self, state: Records, sample: Imu) -> None:
-        """Collect the specific force at rest, f_b = -C_b_n g_n, then start from its direction."""
+        """Collect the specific force at rest, f_b = -C_b_n g_n, then start from its direction.
+
+        Behind a gap it begins anew, and where the mean is not as large as gravity.
+        """
         s = state[0]
+        is_gap = s["level_count"] and sample.stamp_ns - s["imu_ns"] > self.constants[0]["gap_ns"]
+        if is_gap:
+            self._level_again(s)
         if s["level_count"] == 0:
             s["level_ns"] = sample.stamp_ns
         s["level_f"] += sample.f_b
@@ -519,7 +532,12 @@ class Filter:
         duration = round(self.parameters.initial.levelling_time * NS)
         if sample.stamp_ns - s["level_ns"] < duration:
             return
-        f_b = s["level_f"] / s["level_count"]
+        bias = self.C_b_i @ self._body_axes(self.parameters.initial.accelerometer_bias)
+        f_b = s["level_f"] / s["level_count"] - bias
+        g = gravity(s["lat_0"], s["h_0"])
+        if abs(np.linalg.norm(f_b) - g) > LEVEL_TOLERANCE * g:
+            self._level_again(s)
+            return
         roll = np.arctan2(-f_b[1], -f_b[2])
         pitch = np.arctan2(f_b[0], np.hypot(f_b[1], f_b[2]))
         C = self._initial.C_n_b
@@ -532,6 +550,10 @@ class Filter:
             velocity_frame=self._initial.velocity_frame,
         )
         self.initialise(state, initial, sample.stamp_ns, sample.w_ib_b)
+
+    def _level_again(self, s: State) -> None:
+        s["level_f"], s["level_count"] = 0.0, 0
+        s["not_level"] += 1
 
     def predict_part(
         self,
@@ -604,18 +626,31 @@ class Filter:
             Q_w_mean += unseen
         R = (self._R_default if dvl.R is None else dvl.R) + self._l_x @ Q_w_mean @ self._l_x.T
         R = (R + R.T) / 2
-        nis = _innovate(state, self._workspace, self.constants, dvl.v_d, w_ib_b, R)
+        if dvl.stamp_ns < s["doubt_until_ns"]:
+            R += np.outer(s["doubt"], s["doubt"])
         w = self._workspace[0]
+        nis = _innovate(state, self._workspace, self.constants, dvl.v_d, w_ib_b, R)
         innovation, S = w["innovation"].copy(), w["S"].copy()
         if not np.isfinite(nis):
             reason = "bad_covariance" if np.isnan(nis) else "not_finite"
             return UpdateReport(innovation, S, nis, False, reason)
-        accepted, reason = True, ""
-        goes_on = self._goes_on(s, dvl, nis, innovation, S, R)
+        goes_on, accepted, reason = False, True, ""
+        probability = self._fault_probability(s, dvl, nis, innovation, S, R)
+        if probability > 0.0:
+            # With an error smaller than the filter's own sigma it still knows more than the filter.
+            error = np.sqrt(probability) * s["first"]
+            goes_on = probability > 0.5 and bool(error @ error > np.trace(S - R))
+            if not goes_on:
+                R += np.outer(error, error)
+                nis = _innovate(state, self._workspace, self.constants, dvl.v_d, w_ib_b, R)
+                S = w["S"].copy()
+                if probability > 0.5:
+                    s["doubt"] = error
+                    s["doubt_until_ns"] = s["rejected_from_ns"] + s["patient_for"]
         if goes_on or nis > self._gate:
             if goes_on or nis > FAULT * self._gate:
                 s["fault"], s["fault_ns"] = innovation, dvl.stamp_ns
-            accepted, reason = self._recover(s, dvl, innovation, R)
+            accepted, reason = self._recover(s, dvl, innovation, nis, R)
         else:
             if self.process_noise.tau is not None:
                 s["P"] = variational(s["P"], w["H"], R, innovation, self.process_noise.tau)
@@ -702,24 +737,23 @@ class Filter:
             return "no_lock"
         return "repeated" if repeated else ""
 
-    def _goes_on(
+    def _fault_probability(
         self, s: State, dvl: Dvl, nis: float, innovation: Array, S: Array, R: Array
-    ) -> bool:
-        """Whether a measurement is more likely an error that goes on than a good one.
+    ) -> float:
+        """That a measurement has the error of those before it, if one of the two it is.
 
         The uncertainty grows while the DVL is rejected, until what was an error fits as well. But
         an error that goes on repeats the last innovation, to within the noise of the DVL and what
-        the IMU may have drifted in between: the more likely of the two explanations holds.
+        the IMU may have drifted in between. The likelihoods of the two explanations are compared.
         """
         known = s["fault_ns"] != NEVER and not self._in_doubt(s)
         if not known or dvl.stamp_ns - s["rejected_from_ns"] >= s["patient_for"]:
-            return False
+            return 0.0
         S_step = self._step_covariance(s, dvl.stamp_ns - int(s["fault_ns"]), R)
         step = innovation - s["fault"]
-        return bool(
-            step @ np.linalg.solve(S_step, step) + np.linalg.slogdet(S_step)[1]
-            < nis + np.linalg.slogdet(S)[1]
-        )
+        of_fault = step @ np.linalg.solve(S_step, step) + np.linalg.slogdet(S_step)[1]
+        of_good = nis + np.linalg.slogdet(S)[1]
+        return float(expit((of_good - of_fault) / 2.0))
 
     def _step_covariance(self, s: State, interval_ns: int, R: Array) -> Array:
         """Covariance (3, 3) of the step between two innovations, nothing corrected in between.
@@ -736,10 +770,9 @@ class Filter:
         # The last term, far below all noise, gives an R that is singular an inverse.
         return 2.0 * R + C_n_d.T @ drift @ C_n_d + 1e-9 * np.trace(R) * np.eye(3)
 
-    def _is_step(self, s: State, step: Array, interval_ns: int, R: Array) -> bool:
-        """Whether two innovations, nothing corrected in between, differ by what the IMU missed."""
-        S_step = self._step_covariance(s, interval_ns, R)
-        return bool(step @ np.linalg.solve(S_step, step) > self._gate)
+    def _step_nis(self, s: State, step: Array, interval_ns: int, R: Array) -> float:
+        """Of the step between two innovations: beyond the gate it is one that the IMU missed."""
+        return float(step @ np.linalg.solve(self._step_covariance(s, interval_ns, R), step))
 
     def _patience(self, s: State, stamp_ns: int, innovation: Array, R: Array) -> int:
         """How long [ns] the filter may reject from this measurement on.
@@ -752,7 +785,7 @@ class Filter:
         interval_ns = stamp_ns - int(s["accepted_ns"])
         # Behind an outage, or a gap, nobody has seen whether there was a step.
         seen = interval_ns <= LEAST_PATIENCE_NS and not self._has_gap(s)
-        if seen and self._is_step(s, innovation - s["left"], interval_ns, R):
+        if seen and self._step_nis(s, innovation - s["left"], interval_ns, R) > self._gate:
             return int(s["trusted_for"])
         return min(LEAST_PATIENCE_NS, int(s["trusted_for"]))
 
@@ -762,14 +795,21 @@ class Filter:
         return bool(s["gap_ns"] > s["accepted_ns"] or open_ns > self.constants[0]["gap_ns"])
 
     def _wanders(self, s: State, stamp_ns: int, innovation: Array, R: Array) -> bool:
-        """Whether the innovations wander, step by step: then it is the filter that does.
+        """Whether the innovations wander: then it is the filter that does.
 
         An error of the DVL that goes on would repeat itself, and outliers, each for itself, would
-        be as far from each other as from the truth.
+        be as far from each other as from the truth. They wander by steps that the IMU missed, or
+        by a drift since the first of them that is too unlikely beside an error of the DVL: one
+        error of the filter, as unlikely as the first innovation, explains both.
         """
         step = innovation - s["rejected"]
         small = np.hypot.reduce(step) < np.hypot.reduce(innovation) / 2.0  # cannot overflow
-        if not small or not self._is_step(s, step, stamp_ns - int(s["rejected_ns"]), R):
+        if not small:
+            return False
+        drift = innovation - s["first"]
+        surprise = self._step_nis(s, drift, stamp_ns - int(s["rejected_from_ns"]), R) - len(drift)
+        drifts = s["first_nis"] < self._gate + surprise
+        if not drifts and self._step_nis(s, step, stamp_ns - int(s["rejected_ns"]), R) < self._gate:
             return False
         again = s["wandered_ns"] != NEVER and stamp_ns - s["wandered_ns"] <= LEAST_PATIENCE_NS
         s["wandered_ns"] = stamp_ns
@@ -790,7 +830,9 @@ class Filter:
         s["rejections"] = 0
         s["rejected_from_ns"] = s["rejected_ns"] = s["wandered_ns"] = s["fault_ns"] = NEVER
 
-    def _recover(self, s: State, dvl: Dvl, innovation: Array, R: Array) -> tuple[bool, str]:
+    def _recover(
+        self, s: State, dvl: Dvl, innovation: Array, nis: float, R: Array
+    ) -> tuple[bool, str]:
         """Reject, but not for ever: inflate the velocity covariance, then restart the velocity.
 
         A filter that nothing has borne out yet, or whose NIS say that it is too sure of itself, has
@@ -799,6 +841,7 @@ class Filter:
         if s["rejections"] == 0:
             s["rejected_from_ns"] = s["rejected_ns"] = dvl.stamp_ns
             s["patient_for"] = self._patience(s, dvl.stamp_ns, innovation, R)
+            s["first"], s["first_nis"] = innovation, nis
         since_ns = dvl.stamp_ns - int(s["rejected_from_ns"])
         if s["rejections"] and self._wanders(s, dvl.stamp_ns, innovation, R):
             s["patient_for"] = min(int(s["patient_for"]), since_ns)

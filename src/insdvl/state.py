@@ -73,18 +73,23 @@ def state_type(n: int, window: int) -> np.dtype[np.void]:
             ("left", "f8", (3,)),  # innovation that the last accepted one left
             ("nis", "f8"),  # running mean over those accepted
             # Gate: for how long the DVL has borne the filter out [ns], rejections in a row, for how
-            # long they may go on [ns], stamps of the first and of the last, innovation of the last,
-            # and stamp of the last whose innovation had wandered
+            # long they may go on [ns], stamp, innovation and NIS of the first, stamp and innovation
+            # of the last, and stamp of the last whose innovation had wandered
             ("trusted_for", "i8"),
             ("rejections", "i8"),
             ("patient_for", "i8"),
             ("rejected_from_ns", "i8"),
+            ("first", "f8", (3,)),
+            ("first_nis", "f8"),
             ("rejected_ns", "i8"),
             ("rejected", "f8", (3,)),
             ("wandered_ns", "i8"),
             # Innovation and stamp of the last of them that was surely an error of the DVL
             ("fault", "f8", (3,)),
             ("fault_ns", "i8"),
+            # The error that the DVL may have, one sigma, and until when
+            ("doubt", "f8", (3,)),
+            ("doubt_until_ns", "i8"),
             # Channels of the IMU, in its axes, f x, y, z then w x, y, z: the last reading, how many
             # samples have been exactly equal to it and the stamp of the first of them, and since
             # when the channel does not show the motion (NEVER while it does)
@@ -107,6 +112,7 @@ def state_type(n: int, window: int) -> np.dtype[np.void]:
             ("restarts", "i8"),
             ("without_origin", "i8"),
             ("too_old", "i8"),  # initial states from long before the first sample
+            ("not_level", "i8"),  # levellings that began anew
         ],
         align=True,
     )
@@ -124,6 +130,7 @@ COUNTERS = (
     "restarts",
     "without_origin",
     "too_old",
+    "not_level",
 )
 
 
@@ -133,7 +140,7 @@ def empty_state(n: int, window: int) -> NDArray[np.void]:
     stamps = (
         *("time_ns", "imu_ns", "gap_ns", "q_ns", "level_ns"),
         *("dvl_ns", "accepted_ns", "rejected_from_ns", "rejected_ns", "fault_ns"),
-        "wandered_ns",
+        *("wandered_ns", "doubt_until_ns"),
         *("equal_ns", "unseen_ns"),
     )
     for name in stamps:

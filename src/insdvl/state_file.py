@@ -45,7 +45,8 @@ _GROUPS = tuple(name for name in DECIDING if name.endswith("."))
 #: Fields that must be finite, and those that must be covariances.
 _FINITE = (
     *("lat_0", "lon_0", "h_0", "C_n_b", "v_n", "p_n", "b_f", "b_w", "b_d", "w_nb_b"),
-    *("Q_x", "innovations", "nis", "left", "rejected", "fault"),
+    *("Q_x", "innovations", "nis", "left", "first", "first_nis", "rejected"),
+    *("fault", "doubt"),
 )
 _COVARIANCES = ("P", "Q_f", "Q_w")
 

@@ -114,6 +114,8 @@ class DenseFilter:
         self.p = self.p + dt * self.v + dt**2 / 2 * a
         self.v = self.v + dt * a
         self.C = exp(-(w_ie + W_v @ v_mid) * dt) @ self.C @ exp(w_ib_b * dt)
+        beta = 1 / self.dvl_time_constant
+        self.b_d = self.b_d * np.exp(-beta * dt)
 
         n = self.n
         dynamics, G, Q = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
@@ -133,7 +135,6 @@ class DenseFilter:
         back = 2 * np.eye(n) - T  # T^-1, since (T - I)^2 = 0
         dynamics, G = T @ dynamics @ back + T_dot @ back, T @ G
         noise = G @ Q @ G.T
-        beta = 1 / self.dvl_time_constant
         if self.exact:
             if n > 15:
                 dynamics[D, D] = -beta * I3

@@ -18,6 +18,7 @@ from insdvl.error_state import (
     POSITION,
     VELOCITY,
 )
+from insdvl.events import NS
 from insdvl.filter import Filter
 from insdvl.parameters import (
     DvlParameters,
@@ -213,6 +214,17 @@ def test_transition_of_the_dvl_error():
     )
     assert not Phi[:15, DVL_ERROR].any()
     assert not Phi[DVL_ERROR, :15].any()
+
+    # The estimate goes the same way: without measurements nothing is known of an old error.
+    state = case.record(case.nominal)
+    state[0]["time_ns"], state[0]["imu_ns"] = NS, NS
+    end_ns = NS + round(dt * NS)
+    case.filter.predict_part(
+        state, end_ns, case.f_b, case.w_ib_b, np.hstack([case.f_b, case.w_ib_b]), end_ns
+    )
+    np.testing.assert_allclose(
+        state[0]["b_d"], np.exp(-dt / 10.0) * case.nominal["b_d"], rtol=1e-12
+    )
 
 
 @pytest.mark.parametrize("bias_model", ["none", "gauss_markov"])
