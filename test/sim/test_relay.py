@@ -315,3 +315,18 @@ def test_behind_loss_the_missing_samples_are_told_and_the_velocity_stays_good(
 def test_what_it_cannot_be_is_named(graph: Any, settings: dict[str, Any], expected: str) -> None:
     with pytest.raises(ParameterError, match=expected):
         graph(settings)
+
+
+@pytest.mark.parametrize(("namespace", "prefix"), [("/", "/"), ("/auv", "/auv/")])
+def test_a_relay_that_would_hear_itself_is_refused(namespace: str, prefix: str) -> None:
+    context = Context()
+    context.init()
+    try:
+        with pytest.raises(ParameterError, match=rf"got '{prefix}': .* on {prefix}dvl/velocity, "):
+            Relay(
+                namespace=namespace,
+                context=context,
+                parameter_overrides=[Parameter("prefix", value=prefix)],
+            )
+    finally:
+        context.shutdown()
