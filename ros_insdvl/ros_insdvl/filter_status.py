@@ -75,6 +75,8 @@ class ExpectedSamples:
 
     def add(self, stamp_ns: int) -> None:
         """Take the stamp of a sample that is at most `max_delay` late."""
+        if self._last_ns is not None and stamp_ns <= self._last_ns:
+            return  # of a time that is gone back to; `restart` follows
         heappush(self._waiting, stamp_ns)
         self._newest_ns = max(self._newest_ns, stamp_ns)
         while self._waiting[0] < self._newest_ns - self._max_delay_ns:

@@ -51,6 +51,7 @@ class Filter:
         for k in range(first, last):
             if k in lost:
                 continue
+            self.counts["received imu/data_raw"] += 1
             stamp = START_NS + k * step_ns
             noise = np.full(3, k % 2 * self.noise)
             sample = Imu(stamp, np.array([0.0, 0.0, -9.8]) + noise, noise)
@@ -67,7 +68,6 @@ class Filter:
             else:
                 self.watch.published(output, output.stamp_ns + 2_000_000)
                 self.counts["sent odometry/filtered"] += 1
-        self.counts["received imu/data_raw"] += last - first - len(lost)
         self.silence["imu/data_raw"] = 0.0
 
     def look(self, seconds: float = 1.0) -> dict[str, Status]:
@@ -267,6 +267,16 @@ def test_lost_samples_are_told_with_their_share_until_none_is_lost(every: int) -
     statuses = f.look(10.0)
     assert wrong(statuses) == {}
     assert statuses["imu"].values["samples missing"] >= missing
+
+
+def test_lost_samples_are_counted_on_when_the_clock_is_set_back() -> None:
+    f = Filter()
+    f.samples(1, 601, lost=[100])
+    for k in range(-90_000, -89_400):  # as the node takes them, one by one
+        f.samples(k, k + 1, lost=[-89_800])
+    statuses = f.look()
+    assert f.fold.counts["time_jumps"] == 1
+    assert statuses["imu"].values["samples missing"] == 2
 
 
 @pytest.mark.parametrize("step_ns", [NS // 50, NS // 200])
