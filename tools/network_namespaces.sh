@@ -4,8 +4,9 @@
 #   tools/network_namespaces.sh [FOLDER] [NETEM...]
 #
 # FOLDER is the environment (default: .venv), NETEM what `tc ... netem` is told; the default loses
-# 1 %, delays by 20 ms with a jitter of 10 ms, and doubles 1 %. Prints what was sent and how many
-# odometry messages the filter made of it. Ends with 77 where namespaces are not allowed.
+# 1 %, delays by 20 ms with a jitter of 10 ms, and doubles 1 %. Prints what was sent, what the filter
+# received and how many odometry messages it made of that. Ends with 77 where the kernel does not
+# allow namespaces or has no netem.
 set -eu
 cd "$(dirname "$0")/.."
 folder=${1:-.venv}
@@ -26,18 +27,19 @@ if [ -z "${INSDVL_NAMESPACE-}" ]; then
         skip "this machine does not allow network namespaces"
     # Both namespaces live in a user namespace of their own, and end with this script.
     INSDVL_NAMESPACE=1 exec unshare --user --net --map-root-user --kill-child --fork --pid --mount-proc \
-        "$0" "$folder" "$@"
+        tools/network_namespaces.sh "$folder" "$@"
 fi
 
+folder=$(cd "$folder" && pwd)
 logs=$(mktemp -d)
 trap 'rm -rf "$logs"' EXIT
-export AMENT_PREFIX_PATH="$PWD/$folder" ROS_LOG_DIR="$logs" ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET
+export AMENT_PREFIX_PATH="$folder" ROS_LOG_DIR="$logs" ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET
 # Shared memory would go around the link.
 export FASTDDS_BUILTIN_TRANSPORTS=UDPv4
 
 unshare --net sleep 600 &
 other=$!
-sleep 0.2
+while [ "$(readlink "/proc/$other/ns/net")" = "$(readlink /proc/self/ns/net)" ]; do sleep 0.05; done
 ip link add here type veth peer name there netns "$other" 2>/dev/null ||
     skip "this kernel makes no veth links in a user namespace"
 ip address add 10.77.0.1/24 dev here
@@ -49,13 +51,28 @@ inside ip link set there up
 inside ip link set lo up
 tc qdisc add dev here root netem "$@" 2>/dev/null || skip "this kernel has no netem ($*)"
 
-inside "$folder/lib/ros_insdvl/filter" >"$logs/filter" 2>&1 &
+# Not by the function: the process to be ended would be a shell.
+nsenter --target "$other" --net "$folder/lib/ros_insdvl/filter" --ros-args -p initial.mode:=topic \
+    >"$logs/filter" 2>&1 &
 filter=$!
 "$folder/lib/ros_insdvl_sim/simulator" --ros-args -p duration:=30.0 -p rate_factor:=1.0 \
-    -p min_subscribers:=1 >"$logs/simulator" 2>&1 || { cat "$logs/simulator" >&2; exit 1; }
+    -p min_subscribers:=1 -p noise.profile:=constant >"$logs/simulator" 2>&1 ||
+    { cat "$logs/simulator" >&2; exit 1; }
 grep '^sent' "$logs/simulator"
-kill -INT "$filter"
+inside "$folder/bin/python" - <<'END'
+from ros_insdvl_sim.harness import Witness
+
+FILTER = "/insdvl_filter"
+witness = Witness()
+witness.until(lambda: witness.tellings[FILTER], "the diagnostics of the filter", 30.0)
+witness.settle(lambda: witness.value(FILTER, "sent odometry/filtered"))
+received = "received imu/data_raw", "received dvl/velocity"
+counts = *received, "sent odometry/filtered", "samples missing"
+print("filter: " + ", ".join(f"{key} {witness.value(FILTER, key)}" for key in counts))
+witness.close()
+END
+kill "$filter"
 wait "$filter" || { cat "$logs/filter" >&2; exit 1; }
-echo "the filter said:"
+echo "the filter's log:"
 cat "$logs/filter"
 kill "$other"

@@ -1,6 +1,7 @@
 """What the filter node tells an operator: one status per cause (see `ros_insdvl.diagnostics`)."""
 
 from collections import Counter, deque
+from heapq import heappop, heappush
 from math import inf
 
 import numpy as np
@@ -24,6 +25,11 @@ LATE_NS = NS
 DVL_OUTAGE_NS, DVL_LOST_NS = 5 * NS, 60 * NS
 #: Largest relative difference between imu.rate and the rate of the stamps.
 RATE_TOLERANCE = 0.05
+#: Share of the IMU samples that are missing from which on it is told. Jitter of the stamps is taken
+#: for less than that.
+MISSING_SHARE = 0.005
+#: Share of a sample's distance by which the grid of the nominal rate follows the stamps.
+FOLLOW = 0.2
 #: Rejections by the gate that are no chance any more.
 GATE_REJECTIONS = 2
 
@@ -38,6 +44,56 @@ DVL = ("dvl/velocity", "dvl/velocity_cov")
 #: Where the updates are counted that were not made.
 UPDATES = "dvl"
 ODOMETRY = "odometry/filtered"
+
+
+class ExpectedSamples:
+    """Counts the IMU samples, and how many there should have been by their stamps.
+
+    The stamps lie near the points of a grid of the nominal interval, and the grid follows them:
+    jitter moves a sample beside its point, a clock of a slightly other speed moves the grid, and
+    only a sample that is missing leaves a point without one. A sample counts when none before it
+    can come late any more. What is missing in a gap is not expected: a gap is told as such.
+
+    Args:
+        parameters: Of the filter.
+    """
+
+    def __init__(self, parameters: FilterParameters) -> None:
+        self._interval_ns = NS / parameters.imu.rate
+        self._max_gap_ns = round(parameters.imu.max_gap * NS)
+        self._max_delay_ns = round(parameters.max_delay * NS)
+        self.expected = 0
+        self.arrived = 0
+        self.restart()
+
+    def restart(self) -> None:
+        """A new time: the counts go on, with its stamps."""
+        self._waiting: list[int] = []  # a heap
+        self._newest_ns = NEVER
+        self._last_ns: int | None = None
+        self._grid_ns = 0  # the point of the last sample
+
+    def add(self, stamp_ns: int) -> None:
+        """Take the stamp of a sample that is at most `max_delay` late."""
+        if self._last_ns is not None and stamp_ns <= self._last_ns:
+            return  # of a time that is gone back to; `restart` follows
+        heappush(self._waiting, stamp_ns)
+        self._newest_ns = max(self._newest_ns, stamp_ns)
+        while self._waiting[0] < self._newest_ns - self._max_delay_ns:
+            self._count(heappop(self._waiting))
+
+    def _count(self, stamp_ns: int) -> None:
+        """Take the next stamp, in their order."""
+        if self._last_ns is None or stamp_ns - self._last_ns > self._max_gap_ns:
+            self._grid_ns = stamp_ns
+        else:
+            distance_ns = stamp_ns - self._grid_ns
+            points = round(distance_ns / self._interval_ns)
+            step_ns = points * self._interval_ns
+            self._grid_ns += round(step_ns + FOLLOW * (distance_ns - step_ns))
+            self.expected += points
+            self.arrived += 1
+        self._last_ns = stamp_ns
 
 
 class FilterWatch:
@@ -63,6 +119,7 @@ class FilterWatch:
         self._state_file = state_file
         self._updates: Counter[str] = Counter()
         self._jump: TimeJump | None = None  # the last one
+        self._samples = ExpectedSamples(parameters)
         self.reset()
 
     @property
@@ -72,11 +129,15 @@ class FilterWatch:
         counts.update({f"DVL updates {name}": n for name, n in self._updates.items()})
         changes = self._inputs.frame_changes.items()
         counts.update({f"frame_id changes {topic}": n for topic, n in changes})
+        counts.update(
+            {"samples expected": self._samples.expected, "samples arrived": self._samples.arrived}
+        )
         return counts
 
     def reset(self) -> None:
         """A new time: what was remembered by stamps is forgotten."""
         self._frame_check = FrameCheck(self._parameters)
+        self._samples.restart()
         self._nis: deque[float] = deque(maxlen=100)
         self._imu_stamps: deque[int] = deque(maxlen=200)
         self._latencies_ns: deque[int] = deque(maxlen=10_000)
@@ -95,6 +156,7 @@ class FilterWatch:
         self._frame_check.add(event)
         if isinstance(event, Imu):
             self._imu_stamps.append(event.stamp_ns)
+            self._samples.add(event.stamp_ns)
 
     def updated(self, update: AppliedUpdate) -> None:
         """A DVL measurement was used, or not."""
@@ -221,8 +283,26 @@ class FilterWatch:
                     f"imu.rate is {imu.rate:g} Hz, the stamps say {rate:.1f} Hz: set imu.rate, "
                     "which scales the process noise",
                 )
+            else:
+                self._tell_missing(status, view)
         self._show_counters(status, "gaps", "saturated", "frozen")
         return status
+
+    def _tell_missing(self, status: Status, view: View) -> None:
+        """Complain of lost samples; the rate of the stamps must be the declared one."""
+        expected = view.recent["samples expected"]
+        missing = expected - view.recent["samples arrived"]
+        status.values["samples missing"] = max(self._samples.expected - self._samples.arrived, 0)
+        share = missing / expected if expected else 0.0
+        status.values["samples missing lately [%]"] = f"{100.0 * max(share, 0.0):.2f}"
+        if share >= MISSING_SHARE:
+            status.complain(
+                WARN,
+                "missing",
+                f"{100.0 * share:.1f} % of the samples are missing by their stamps, {missing} of "
+                f"{expected} in the last {RECENT:.0f} s: look at the driver, the network and the "
+                "machine's load, or ask for reliable delivery on both sides (qos_overrides.*)",
+            )
 
     def _dvl(self, view: View) -> Status:
         status = Status("dvl")

@@ -94,6 +94,12 @@ class TunerNode(InsdvlNode[TunerParameters]):
                 f"samples are lost; a window that spans more than {self.parameters.max_gap:g} "
                 "s is not used",
             ),
+            (
+                "restarts",
+                f"stamps went back by more than {self.parameters.max_gap:g} s, which begins the "
+                "window again: the network changes the order by more than max_gap, or a clock was "
+                "set",
+            ),
         ):
             status.values[name] = view.total.get(name, 0)
             if count := view.recent[name]:
@@ -116,7 +122,8 @@ class TunerNode(InsdvlNode[TunerParameters]):
                 WARN,
                 "nothing",
                 f"no window was usable in the last {RECENT:.0f} s: it takes "
-                f"{self._tuner.model.window} samples in a row without a gap",
+                f"{self._tuner.model.window} samples in a row without a gap"
+                + self._what_emptied(view),
             )
         if count := view.recent["too_large"]:
             status.complain(
@@ -134,6 +141,17 @@ class TunerNode(InsdvlNode[TunerParameters]):
             status.values[name] = view.total.get(name, 0)
         view.show(status, "process_noise")
         return status
+
+    def _what_emptied(self, view: View) -> str:
+        """What kept the window from filling, and what to do; empty where nothing did."""
+        gaps, restarts = view.recent["gaps"], view.recent["restarts"]
+        if not gaps + restarts:
+            return ""
+        return (
+            f", and {gaps} gaps and {restarts} restarts emptied it: mend the network, run the "
+            "tuner beside the IMU's driver, or raise max_gap "
+            f"({self.parameters.max_gap:g} s) above the delays"
+        )
 
     def _learns_nothing(self, view: View) -> bool:
         """Whether samples came all the time, for long enough, and no estimate."""

@@ -41,6 +41,7 @@ class Relay(InsdvlNode[RelayParameters]):
         parameters = self.parameters
         try:
             _check(parameters.topics)
+            self._check_prefix()
         except ParameterError:
             self.destroy_node()
             raise
@@ -59,6 +60,17 @@ class Relay(InsdvlNode[RelayParameters]):
         self.start_diagnostics()
         self._thread = threading.Thread(target=self._send_all, name="relay", daemon=True)
         self._thread.start()
+
+    def _check_prefix(self) -> None:
+        """Refuse a prefix by which a topic that is heard is one that is sent."""
+        topics, prefix = self.parameters.topics, self.parameters.prefix
+        sent = {self.resolve_topic_name(topic) for topic in topics}
+        both = sorted(sent & {self.resolve_topic_name(prefix + topic) for topic in topics})
+        if both:
+            raise ParameterError(
+                f"parameter 'prefix' must lead to other topics than those that are sent, got "
+                f"{prefix!r}: the relay would hear itself on {', '.join(both)}"
+            )
 
     def _receive(self, topic: str, data: bytes) -> None:
         delays = self._links[topic].delays()

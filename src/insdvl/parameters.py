@@ -466,7 +466,7 @@ _GRAVITY = 9.9  # m/s^2, more than anywhere on the Earth
 
 #: A topic's name as ROS 2 takes it.
 _TOPIC = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
-#: Topics of the filter that have another type, and its own output.
+#: Topics of the filter that have another type or another meaning, and its own output.
 _NO_INITIAL_TOPIC = (
     "imu/data_raw",
     "dvl/velocity",
@@ -474,6 +474,7 @@ _NO_INITIAL_TOPIC = (
     "process_noise",
     "ground_truth/process_noise",
     "gps/fix",
+    "set_odometry",
     "odometry/filtered",
 )
 
@@ -616,7 +617,7 @@ class FilterParameters:
     )
     state_period: float = parameter(
         1.0,
-        "How often state_file is written, in the time of the stamps.",
+        "How often state_file is written, in the time of the stamps; at most jump_limit.",
         unit="s",
         low=0.01,
         high=3600.0,
@@ -640,6 +641,12 @@ class FilterParameters:
                     f"parameter 'jump_limit' must be at least {name} ({value:g} s), "
                     f"got {self.jump_limit!r}"
                 )
+        if self.state_file and self.state_period > self.jump_limit:
+            raise ParameterError(
+                f"parameter 'state_period' must be at most jump_limit ({self.jump_limit:g} s) "
+                f"where there is a state_file, got {self.state_period!r}: before it "
+                "is written again the state would be too old to go on from"
+            )
         interval = 1.0 / self.imu.rate
         if self.imu.max_gap <= interval:
             raise ParameterError(

@@ -98,6 +98,12 @@ CONTRADICTIONS = [
     (FilterParameters, {"initial.topic": "a b"}, "'initial.topic' must be a topic"),
     (FilterParameters, {"initial.topic": "imu/data_raw"}, "none of imu/data_raw"),
     (FilterParameters, {"initial.topic": "/odometry/filtered"}, "got '/odometry/filtered'"),
+    (FilterParameters, {"initial.topic": "set_odometry"}, "got 'set_odometry'"),
+    (
+        FilterParameters,
+        {"state_file": "state", "state_period": 31.0},
+        r"'state_period' must be at most jump_limit \(30 s\) .*, got 31.0",
+    ),
     (
         FilterParameters,
         {"process_noise.source": "external", "process_noise.accelerometer_floor": 0.011},
@@ -146,6 +152,8 @@ def test_what_only_seems_to_contradict_is_taken() -> None:
         {"imu.rate": 5.0, "imu.max_gap": 0.5},
         {"output_delay": 2.0},
         {"initial.topic": "/auv/odometry"},
+        {"state_file": "state", "state_period": 30.0},
+        {"state_period": 31.0},  # nothing is written
     ):
         build(FilterParameters, values)
 

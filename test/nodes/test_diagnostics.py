@@ -1,6 +1,7 @@
 """The statuses of a node: each cause is told with its number and what to do, and recovers."""
 
 from collections import Counter
+from collections.abc import Collection
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ from ros_insdvl.diagnostics import (
     Status,
     View,
 )
-from ros_insdvl.filter_status import FilterWatch
+from ros_insdvl.filter_status import ExpectedSamples, FilterWatch
 
 START_NS = 1_700_000_000 * NS
 PAGE = Path(__file__).parents[2] / "docs" / "diagnostics.md"
@@ -44,8 +45,13 @@ class Filter:
         self.pings = 0
         self.noise = 1e-7
 
-    def samples(self, first: int, last: int, step_ns: int = NS // 100) -> None:
+    def samples(
+        self, first: int, last: int, step_ns: int = NS // 100, lost: Collection[int] = ()
+    ) -> None:
         for k in range(first, last):
+            if k in lost:
+                continue
+            self.counts["received imu/data_raw"] += 1
             stamp = START_NS + k * step_ns
             noise = np.full(3, k % 2 * self.noise)
             sample = Imu(stamp, np.array([0.0, 0.0, -9.8]) + noise, noise)
@@ -62,7 +68,6 @@ class Filter:
             else:
                 self.watch.published(output, output.stamp_ns + 2_000_000)
                 self.counts["sent odometry/filtered"] += 1
-        self.counts["received imu/data_raw"] += last - first
         self.silence["imu/data_raw"] = 0.0
 
     def look(self, seconds: float = 1.0) -> dict[str, Status]:
@@ -210,6 +215,76 @@ def test_a_silent_imu_is_an_error_until_it_comes_back() -> None:
     assert "no imu/data_raw for 4 s" in statuses["imu"].message
     f.samples(21, 22)
     assert wrong(f.look()) == {}
+
+
+def expected_and_arrived(stamps: Any, **parameters: Any) -> tuple[int, int]:
+    """What is counted of stamps in steps of 10 ms, in the order in which they arrive."""
+    samples = ExpectedSamples(build(FilterParameters, parameters))
+    for stamp in stamps:
+        samples.add(START_NS + round(float(stamp) * NS / 100))
+    return samples.expected, samples.arrived
+
+
+def test_only_what_is_lost_for_good_is_missing() -> None:
+    lost = {50, 51, 300}
+    kept = [k for k in range(1001) if k not in lost]
+    # The samples of the last max_delay may still be late; the first one opens the count.
+    assert expected_and_arrived(kept) == (799, 796)
+    late = sorted(kept, key=lambda k: k + (150 if k % 7 == 0 else 0))
+    assert expected_and_arrived(late) == (799, 796)
+    gap = [k for k in range(1001) if not 400 < k < 500]
+    assert expected_and_arrived(gap) == (699, 699)  # it is told as a gap
+
+
+@pytest.mark.parametrize(("rate", "jitter"), [(1.0, 0.3), (1.04, 0.0), (0.96, 0.0)])
+def test_jitter_and_a_clock_of_another_speed_lose_nothing(rate: float, jitter: float) -> None:
+    rng = np.random.default_rng(5)
+    stamps = np.arange(3000) / rate + jitter * rng.uniform(-1.0, 1.0, 3000)
+    expected, arrived = expected_and_arrived(stamps)
+    assert arrived > 2500
+    assert abs(expected - arrived) <= 1  # the last one may be before or behind its point
+    kept = rng.random(3000) > 0.1
+    expected, arrived = expected_and_arrived(stamps[kept])
+    due = np.arange(3000)[kept]
+    assert abs(expected - (due[arrived] - due[0])) <= 1
+
+
+@pytest.mark.parametrize("every", [100, 10])
+def test_lost_samples_are_told_with_their_share_until_none_is_lost(every: int) -> None:
+    f = Filter()
+    f.dvl(START_NS + NS)
+    f.dvl(START_NS + 5 * NS)
+    f.samples(1, 603, lost=range(every // 2, 600, every))  # the last 2 s may still come
+    statuses = f.look()
+    assert wrong(statuses) == {"imu": WARN}
+    missing = 400 // every
+    assert f"{100 / every:.1f} % of the samples are missing" in statuses["imu"].message
+    assert f"{missing} of 400 in the last 10 s" in statuses["imu"].message
+    f.dvl(START_NS + 10 * NS)
+    f.samples(603, 1103)
+    assert wrong(f.look(5.0)) == {"imu": WARN}
+    f.samples(1103, 1104)
+    statuses = f.look(10.0)
+    assert wrong(statuses) == {}
+    assert statuses["imu"].values["samples missing"] >= missing
+
+
+def test_lost_samples_are_counted_on_when_the_clock_is_set_back() -> None:
+    f = Filter()
+    f.samples(1, 601, lost=[100])
+    for k in range(-90_000, -89_400):  # as the node takes them, one by one
+        f.samples(k, k + 1, lost=[-89_800])
+    statuses = f.look()
+    assert f.fold.counts["time_jumps"] == 1
+    assert statuses["imu"].values["samples missing"] == 2
+
+
+@pytest.mark.parametrize("step_ns", [NS // 50, NS // 200])
+def test_an_imu_of_another_rate_is_told_as_such_and_not_as_lost_samples(step_ns: int) -> None:
+    f = Filter()
+    f.samples(1, 601, step_ns)
+    (complaint,) = f.look()["imu"].complaints
+    assert complaint.text.startswith(f"imu.rate is 100 Hz, the stamps say {NS / step_ns:.1f} Hz")
 
 
 def test_channels_that_are_not_believed_are_told_until_they_move_again() -> None:

@@ -613,7 +613,7 @@ def test_a_state_file_that_does_not_fit_is_told_until_it_is_replaced(
     before = graph(state_file=str(path))
     before.send(*imu_run(1, 51))
     before.close()
-    parameters = {"state_file": str(path), "state_period": 3600.0} | changed
+    parameters = {"state_file": str(path), "state_period": 30.0} | changed
     g = graph(**parameters)
     g.send(*imu_run(first, first + 20))
     assert len(g.odometry()) == 20  # of a filter that has just started

@@ -5,7 +5,9 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,6 +23,8 @@ from std_srvs.srv import SetBool
 from insdvl.parameters import ParameterError, TunerParameters
 from insdvl.tuner.models import load_model
 from insdvl.tuner.tuner import Tuner
+from ros_insdvl import node
+from ros_insdvl.diagnostics import Status
 from ros_insdvl.tuner import TunerNode
 
 START_NS = 1_700_000_000_123_000_000
@@ -234,6 +238,32 @@ def test_the_diagnostics_warn_of_a_tuner_that_is_disabled_or_deaf(graph):
     level, message = told("process noise")
     assert level == DiagnosticStatus.WARN
     assert "disabled" in message
+
+
+def test_a_window_that_reordering_empties_is_told_with_how_often(graph, monkeypatch):
+    later = 0.0
+    monkeypatch.setattr(node, "time", SimpleNamespace(monotonic=lambda: time.monotonic() + later))
+
+    def told() -> dict[str, Status]:
+        return {status.cause: status for status in graph.tuner.statuses()}
+
+    rows = samples(310)
+    graph.send([imu_message(k, rows[k]) for k in range(10)])
+    assert told()["process noise"].level == DiagnosticStatus.OK  # not yet full is nothing wrong
+    later = 10.0
+    blocks = [range(first, first + 30) for first in range(10, 310, 30)]
+    swapped = [blocks[k ^ 1] for k in range(10)]  # each pair the other way round, 0.6 s apart
+    graph.send([imu_message(k, rows[k]) for block in swapped for k in block])
+    statuses = told()
+    assert statuses["imu"].level == statuses["process noise"].level == DiagnosticStatus.WARN
+    assert statuses["imu"].values["restarts"] == 5
+    assert "5 restarts in the last 10 s: stamps went back" in statuses["imu"].message
+    message = statuses["process noise"].message
+    assert "5 gaps and 5 restarts emptied it" in message
+    assert "raise max_gap (0.1 s)" in message
+    graph.send([imu_message(k, row) for k, row in enumerate(samples(500), 310)])
+    graph.until(lambda: graph.received)
+    assert told()["process noise"].level == DiagnosticStatus.OK
 
 
 def test_a_wrong_parameter_is_named():
