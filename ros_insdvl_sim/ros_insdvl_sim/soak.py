@@ -6,7 +6,6 @@ call adds legs to what is there. A leg that was interrupted is not in the file, 
 """
 
 import argparse
-import json
 import os
 import sys
 import tempfile
@@ -375,8 +374,7 @@ def run(options: argparse.Namespace) -> int:
         "core": [],
         "steps": {},
     }
-    if file.exists():
-        document |= json.loads(file.read_text(encoding="utf-8"))
+    document |= page.documents(folder).get(page.SOAK, {})
 
     def keep() -> None:
         document["environment"] = environment() | {"cores": len(os.sched_getaffinity(0))}

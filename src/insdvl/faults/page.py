@@ -3,12 +3,12 @@
 Sentences here say what was done; every number and every verdict comes from the documents.
 """
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from insdvl.evaluation.tables import number
+from insdvl.files import read_parts
 
 Documents = Mapping[str, Any]
 
@@ -18,13 +18,12 @@ PARTS = (MESSAGES, PROCESSES, SOAK)
 
 
 def documents(folder: Path) -> dict[str, Any]:
-    """The parts of a folder that have been computed, now or before."""
-    files = {part: folder / f"{part}.json" for part in PARTS}
-    return {
-        part: json.loads(file.read_text(encoding="utf-8"))
-        for part, file in files.items()
-        if file.exists()
-    }
+    """The parts of a folder that have been computed, now or before.
+
+    Raises:
+        ValueError: A file cannot be read, is damaged or lacks a number; the message names it.
+    """
+    return read_parts(folder, PARTS, markdown)
 
 
 def markdown(parts: Documents) -> str:
