@@ -6,7 +6,7 @@ call adds legs to what is there. A leg that was interrupted is not in the file, 
 """
 
 import argparse
-import json
+import math
 import os
 import sys
 import tempfile
@@ -27,6 +27,7 @@ from sensor_msgs.msg import Imu
 from insdvl.evaluation.tables import number as shown
 from insdvl.events import NS
 from insdvl.faults import page, soak
+from insdvl.faults.verdicts import Verdict, lost, verdicts
 from insdvl.files import check_writable, json_text, write
 from insdvl.parallel import environment
 from insdvl.parameters import FilterParameters, build
@@ -335,7 +336,7 @@ def add_legs(
             too_fast = False
             while done < count and not too_fast:
                 leg = flown.fly(len(document["legs"]), duration)
-                too_fast = bool(document["search"]) and page.lost(leg) > 0
+                too_fast = bool(document["search"]) and lost(leg) > 0
                 if too_fast:
                     document["search"].append(_trial(leg))
                     document["rate_factor"] = round(rate_factor / STEP, 1)
@@ -345,7 +346,7 @@ def add_legs(
                 keep()
                 print(
                     f"leg {leg['leg'] + 1}: {rate_factor:g} times real time, {leg['wall']:.0f} s, "
-                    f"lost {page.lost(leg)}, NIS {shown(leg['nis'], 3)}",
+                    f"lost {lost(leg)}, NIS {shown(leg['nis'], 3)}",
                     flush=True,
                 )
 
@@ -356,7 +357,7 @@ def _trial(leg: dict[str, Any]) -> dict[str, Any]:
         "rate_factor": leg["rate_factor"],
         "mission": leg["mission"],
         "held": leg["held"],
-        "lost": page.lost(leg),
+        "lost": lost(leg),
         "latency": leg["latency"][-1]["p50"],
     }
 
@@ -375,8 +376,7 @@ def run(options: argparse.Namespace) -> int:
         "core": [],
         "steps": {},
     }
-    if file.exists():
-        document |= json.loads(file.read_text(encoding="utf-8"))
+    document |= page.documents(folder).get(page.SOAK, {})
 
     def keep() -> None:
         document["environment"] = environment() | {"cores": len(os.sched_getaffinity(0))}
@@ -386,7 +386,7 @@ def run(options: argparse.Namespace) -> int:
     if options.core_hours:
         document["core"] = []
         for number, hour in enumerate(soak.run(options.core_hours, options.leg)):
-            document["core"].append(asdict(hour) | {"hour": number})
+            document["core"].append(_finite(asdict(hour)) | {"hour": number})
             print(f"core, hour {number + 1}: {hour.seconds:.1f} s", flush=True)
             keep()
     if options.steps:
@@ -394,7 +394,7 @@ def run(options: argparse.Namespace) -> int:
         for name, values in soak.STEPPED.items():
             parameters = build(FilterParameters, values)
             health = soak.steps(parameters, options.steps, seed=1)
-            document["steps"][name] = [asdict(million) for million in health]
+            document["steps"][name] = [_finite(asdict(million)) for million in health]
             print(f"{options.steps} million steps, {name}", flush=True)
     keep()
     if options.hours:
@@ -404,7 +404,22 @@ def run(options: argparse.Namespace) -> int:
             document["rate_factor"], document["search"] = search()
             keep()
         add_legs(document, options.hours, options.leg, keep)
-    return 1 if any(page.lost(leg) for leg in document["legs"]) else 0
+    return _told(verdicts(document))
+
+
+def _finite(value: Any) -> Any:
+    """A number, or numbers by their names, with None for those that JSON does not know."""
+    if isinstance(value, dict):
+        return {name: _finite(item) for name, item in value.items()}
+    return value if math.isfinite(value) else None
+
+
+def _told(judged: list[Verdict]) -> int:
+    """Say what holds; the exit code."""
+    words = {True: "holds", False: "FAILS", None: "not judged"}
+    for verdict in judged:
+        print(f"{words[verdict.holds]:12}{verdict.expected}: {verdict.seen}", flush=True)
+    return 1 if any(verdict.holds is False for verdict in judged) else 0
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:

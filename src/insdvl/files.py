@@ -7,7 +7,7 @@ import os
 import stat
 import tempfile
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 _HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 _SHOWN = 200  # characters of a value in a message
+MAX_PART_BYTES = 4 * 2**20  # of a page's numbers; a twentieth is used, or a thousand hours of soak
 
 
 def read(path: Path, limit: int) -> bytes:
@@ -29,11 +30,58 @@ def read(path: Path, limit: int) -> bytes:
     status = path.stat()
     if not stat.S_ISREG(status.st_mode):
         raise OSError(errno.EINVAL, "it is no regular file")
-    with path.open("rb") as file:
-        data = file.read(min(status.st_size, limit) + 1)  # one more: it may grow meanwhile
-    if len(data) > limit:
+    if status.st_size > limit:
         raise OSError(errno.EFBIG, f"it has {status.st_size} bytes, and at most {limit} are read")
-    return data
+    with path.open("rb") as file:
+        return file.read(status.st_size)  # no more, should it grow meanwhile
+
+
+def read_json(path: Path, limit: int) -> dict[str, Any]:
+    """The object in a JSON file.
+
+    Raises:
+        ValueError: The file cannot be read, has more than ``limit`` bytes or no JSON object in it;
+            the message names it.
+    """
+    try:
+        document = json.loads(read(path, limit).decode("utf-8"), parse_constant=_refuse)
+    except OSError as error:
+        raise ValueError(f"cannot read {path}: {error.strerror or error}") from error
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path} is no JSON: {beginning(str(error))}") from error
+    if not isinstance(document, dict):
+        raise ValueError(f"{path} is no JSON object")
+    return document
+
+
+def _refuse(name: str) -> None:
+    raise ValueError(f"{name} is no number")
+
+
+def read_parts(
+    folder: Path, names: Iterable[str], page: Callable[[Mapping[str, Any]], str]
+) -> dict[str, Any]:
+    """The parts of a page that are there, each a JSON file of the folder.
+
+    Args:
+        folder: Of the files.
+        names: Of the parts.
+        page: Makes the page of the parts; one that it cannot tell of is damaged.
+
+    Raises:
+        ValueError: A file cannot be read or is damaged; the message names it.
+    """
+    parts: dict[str, Any] = {}
+    for name in names:
+        file = folder / f"{name}.json"
+        if file.exists():
+            parts[name] = read_json(file, MAX_PART_BYTES)
+            try:
+                page({name: parts[name]})
+            except Exception as error:  # what is missing or of another type raises anything
+                reason = beginning(f"{type(error).__name__}: {error}")
+                raise ValueError(f"{file} lacks what the page tells of it: {reason}") from error
+    return parts
 
 
 def archive(arrays: Mapping[str, NDArray[Any]]) -> bytes:

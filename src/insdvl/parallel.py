@@ -42,7 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from insdvl.files import archive, arrays, write
+from insdvl.files import archive, arrays, read, write
 from insdvl.kernels import source_digest
 
 #: What a task gives.
@@ -53,6 +53,7 @@ Function = Callable[[Any, Any], Result]
 BACKENDS = ("loky", "dask")
 LOSSES = 3  # workers that one task may lose while it runs alone
 CONNECT_TIMEOUT_S = 10.0
+MAX_RESULT_BYTES = 2**28  # of a kept one; those of a recording's windows have some megabytes
 
 _LIBRARIES = ("numpy", "scipy", "numba", "scikit-learn")
 _DIGEST = re.compile(r"[0-9a-f]{16}")  # folders of a store
@@ -214,7 +215,7 @@ def _write(path: Path, data: bytes) -> None:
 def _kept(path: Path) -> Result | None:
     """The result in a file, or None where it is missing or damaged."""
     try:
-        data = path.read_bytes()
+        data = read(path, MAX_RESULT_BYTES)
         return arrays(data, len(data))  # they are kept without compression
     except FileNotFoundError:
         return None

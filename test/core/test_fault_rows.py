@@ -1,5 +1,6 @@
 """The fault matrix: its short form is met, its judge can say no, and the page is of its numbers."""
 
+import weakref
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -8,13 +9,12 @@ import numpy as np
 import pytest
 
 from insdvl.events import NS
-from insdvl.faults import changes, page
+from insdvl.faults import changes, page, soak
 from insdvl.faults.changes import Change
 from insdvl.faults.checks import Check, Pair, nothing_refused, refused, rejoins, same_bits
 from insdvl.faults.flight import Flight, fly, parameters_of
 from insdvl.faults.matrix import judged
 from insdvl.faults.rows import ONE_SEED, ROWS
-from insdvl.faults.soak import run as core_soak
 from insdvl.faults.stream import DVL, IMU, Sensors, stream_of
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -116,10 +116,27 @@ def test_the_page_names_what_is_not_met_and_what_is_missing() -> None:
 
 
 def test_the_core_soaks() -> None:
-    hours = list(core_soak(2, duration=12.0))
+    hours = list(soak.run(2, duration=12.0))
     for hour in hours:
         assert hour.samples == hour.outputs == 1200
         assert hour.body_velocity_rmse < 0.3
         assert 1.0 < hour.nis < 8.0
         assert hour.health.asymmetry < 1e-12 and hour.health.orthonormality < 1e-12
         assert 1e-12 < hour.health.smallest_eigenvalue < 1.0
+
+
+def test_the_mission_of_an_hour_is_gone_at_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It takes more than filter and tuner, and would be counted as theirs."""
+    made: list[weakref.ref[Any]] = []
+    simulated = soak.hour
+
+    def hour(number: int, duration: float) -> Any:
+        assert all(mission() is None for mission in made)
+        mission = simulated(number, duration)
+        made.append(weakref.ref(mission))
+        return mission
+
+    monkeypatch.setattr(soak, "hour", hour)
+    for number, _ in enumerate(soak.run(2, duration=2.0)):
+        assert len(made) == number + 1
+        assert made[number]() is None

@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, storage_mcap
 
-from insdvl import bag_checks, files, yaml_files
+from insdvl import bag_checks, files, parallel, yaml_files
 from insdvl.bags import (
     BagError,
     BagReader,
@@ -32,6 +32,8 @@ from insdvl.bags import (
     twist_message,
     typestore,
 )
+from insdvl.evaluation import results
+from insdvl.faults import page
 from insdvl.parallel import _kept
 from insdvl.parameters import FilterParameters, ParameterError, load_section
 from insdvl.simulation.noise import from_file
@@ -40,6 +42,7 @@ from insdvl.tuner.models import MAX_WINDOW, ModelError, load_model
 from insdvl.tuner.network import Network, NetworkError
 
 ROOT = Path(__file__).parents[2]
+RELIABILITY = ROOT / "docs" / "reliability"
 MB = 2**20
 
 
@@ -211,6 +214,20 @@ READERS = {
     "result": Reader(
         written("file.npz", npz(**TREES)), lambda folder: _kept(folder / "file.npz"), None
     ),
+    "page of faults": Reader(
+        written("messages.json", (RELIABILITY / "messages.json").read_bytes()),
+        page.documents,
+        ValueError,
+        60,
+    ),
+    "page of the soak": Reader(
+        written("soak.json", (RELIABILITY / "soak.json").read_bytes()), page.documents, ValueError
+    ),
+    "page of results": Reader(
+        written("window.json", (ROOT / "docs" / "results" / "window.json").read_bytes()),
+        results.documents,
+        ValueError,
+    ),
     "mcap": Reader(storage("mcap"), lambda folder: read_bag(folder / "bag"), BagError),
     "mcap alone": Reader(
         storage("mcap"), lambda folder: read_bag(next(folder.glob("bag/*.mcap"))), BagError
@@ -315,7 +332,10 @@ def test_what_never_ends_is_no_file(name: str, tmp_path: Path) -> None:
             reader.read(tmp_path)
 
 
-@pytest.mark.parametrize("name", ["parameters", "noise profile", "card", "metadata"])
+PAGES = ("page of faults", "page of the soak", "page of results")
+
+
+@pytest.mark.parametrize("name", ["parameters", "noise profile", "card", "metadata", *PAGES])
 def test_a_huge_file_is_refused_before_it_is_read(name: str, tmp_path: Path) -> None:
     reader = READERS[name]
     path = reader.good(tmp_path)
@@ -337,6 +357,66 @@ def test_a_huge_model_is_refused_before_it_is_read(tmp_path: Path) -> None:
             pytest.raises(ModelError, match=f"it has {10**12} bytes, and at most {MAX_BYTES}"),
         ):
             load_model(str(card.with_suffix(suffix)))
+
+
+def test_a_kept_result_that_never_ends_or_is_huge_is_computed_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "file.npz"
+    os.mkfifo(path)
+    assert _kept(path) is None
+    assert f"{path} is damaged (" in capsys.readouterr().err
+    path.unlink()
+    with path.open("wb") as file:
+        file.truncate(10**12)
+    with at_most(20 * MB):
+        assert _kept(path) is None
+    assert f"at most {parallel.MAX_RESULT_BYTES} are read" in capsys.readouterr().err
+
+
+# ---------------------------------------------------------------- numbers of the pages
+
+
+@pytest.mark.parametrize("name", PAGES)
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        (b"", "is no JSON: Expecting value"),
+        (b"[]", "is no JSON object"),
+        (b"\xff\xfe", "is no JSON: 'utf-8' codec"),
+        (b"[" * 100_000, "is no JSON: maximum recursion depth"),
+        (b'{"rows": [NaN]}', "is no JSON: NaN is no number"),
+        (b"{}", "lacks what the page tells of it: KeyError"),
+        (b'{"rows": 1, "rate_factor": 1, "search": 1, "environment": {}}', "lacks what the page"),
+    ],
+)
+def test_numbers_that_no_page_can_be_made_of_are_named(
+    name: str, content: bytes, expected: str, tmp_path: Path
+) -> None:
+    reader = READERS[name]
+    path = reader.good(tmp_path)
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=f"{path} {expected}"):
+        reader.read(tmp_path)
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_numbers_that_were_cut_are_named(name: str, tmp_path: Path) -> None:
+    reader = READERS[name]
+    path = reader.good(tmp_path)
+    os.truncate(path, path.stat().st_size // 2)
+    with pytest.raises(ValueError, match=f"{path} is no JSON"):
+        reader.read(tmp_path)
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_numbers_that_cannot_be_read_are_named(name: str, tmp_path: Path) -> None:
+    reader = READERS[name]
+    path = reader.good(tmp_path)
+    path.unlink()
+    os.mkfifo(path)
+    with pytest.raises(ValueError, match=f"^cannot read {path}: it is no regular file$"):
+        reader.read(tmp_path)
 
 
 # ---------------------------------------------------------------- YAML

@@ -6,7 +6,6 @@ the recordings, or after a part alone.
 """
 
 import argparse
-import json
 import sys
 from collections.abc import Mapping
 from dataclasses import asdict, replace
@@ -26,7 +25,7 @@ from insdvl.evaluation.approaches import (
 )
 from insdvl.evaluation.comparison import Plan, compare
 from insdvl.evaluation.options import check_names, check_numbers
-from insdvl.files import check_writable, json_text, write
+from insdvl.files import check_writable, json_text, read_parts, write
 from insdvl.parallel import Pool, Store, TaskError
 from insdvl.simulation.noise import SCENARIOS
 from insdvl.tuner.models import load_model
@@ -160,10 +159,9 @@ def _compute(part: str, arguments: argparse.Namespace, folder: Path, pool: Pool)
 
 
 def documents(folder: Path) -> dict[str, Any]:
-    """The parts of a folder that have been computed, now or before."""
-    files = {part: folder / f"{part}.json" for part in PARTS}
-    return {
-        part: json.loads(file.read_text(encoding="utf-8"))
-        for part, file in files.items()
-        if file.exists()
-    }
+    """The parts of a folder that have been computed, now or before.
+
+    Raises:
+        ValueError: A file cannot be read, is damaged or lacks a number; the message names it.
+    """
+    return read_parts(folder, PARTS, page.markdown)

@@ -106,7 +106,7 @@ class Hour:
         samples: IMU messages sent.
         outputs: Odometry published.
         seconds: Of the filter and the tuner together, without making the messages.
-        memory: Resident memory of the process at its end [MB].
+        memory: Resident memory of the process at its end, without its mission [MB].
         nis: Mean normalised innovation squared.
         body_velocity_rmse: [m/s].
         health: After the updates.
@@ -149,8 +149,10 @@ def run(hours: int, duration: float = LEG) -> Iterator[Hour]:
                 squared += float(error @ error)
                 outputs, k = outputs + 1, k + 1
             seconds += time.perf_counter() - begin
+        samples = mission.stamps_ns.size
+        del mission, truth, v_b  # no part of the memory, and not kept while the next one is made
         yield Hour(
-            samples=mission.stamps_ns.size,
+            samples=samples,
             outputs=outputs,
             seconds=seconds,
             memory=memory(os.getpid()),
