@@ -25,6 +25,8 @@ from insdvl.faults.matrix import judged
 from insdvl.faults.rows import ONE_SEED, ROWS
 from insdvl.faults.soak import run as core_soak
 from insdvl.faults.stream import DVL, IMU, Sensors, stream_of
+from insdvl.parameters import TunerParameters
+from insdvl.tuner.tuner import Tuner
 
 DOCS = Path(__file__).parents[2] / "docs"
 SENSORS = Sensors()
@@ -116,6 +118,26 @@ def test_a_clock_that_is_set_back_is_the_one_from_before() -> None:
 def test_the_last_stamps_are_just_below_2_to_31_seconds() -> None:
     (row,) = [row for row in ROWS if row.name == "stamps up to 2^31 s"]
     assert 0 < 2**31 * NS - (row.sensors.start_ns + round(row.duration * NS)) < NS
+
+
+def test_a_tuner_tells_what_it_learns_from_the_faulted_messages() -> None:
+    sensors = Sensors(learned=True)
+    stream = stream_of(sensors, 1, 10.0)
+    assert {arrival.topic for arrival in stream.arrivals} == {IMU, DVL}
+    parameters = parameters_of(
+        stream.mission, sensors, 1, {"process_noise.source": "external", "q_timeout": 2.5}
+    )
+
+    def timeouts(change: Change) -> int:
+        faulted = change(stream, np.random.default_rng(5))
+        return fly(faulted, parameters, Tuner(TunerParameters())).counts["q_timeouts"]
+
+    assert timeouts(changes.unchanged) == 0
+    # What the filter does not get, or refuses, the tuner does not learn from either: it has no
+    # whole window for two seconds.
+    not_finite = changes.triad(changes.FORCE, lambda f: f * np.nan)
+    assert timeouts(changes.dropped(IMU, 4.0, 5.0)) == 1
+    assert timeouts(changes.edited(IMU, 4.0, 5.0, not_finite)) == 1
 
 
 def test_recovery_is_the_time_until_the_calm_flight_is_met_again() -> None:

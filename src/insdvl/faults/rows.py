@@ -430,6 +430,7 @@ def _dvl_rows() -> list[Row]:
 
 def _process_noise_rows() -> list[Row]:
     external = {"process_noise.source": "external"}
+    learned = Sensors(learned=True)
 
     def told(change: Callable[[Any], Any]) -> Change:
         return changes.edited(Q, BEGIN, END, change)
@@ -470,6 +471,42 @@ def _process_noise_rows() -> list[Row]:
             told(changes.covariance(1e5 * np.eye(3))),
             (nothing_refused(), counter("ceilings", 30), covered(), recovers(20.0), rejoins()),
             parameters=external,
+        ),
+        Row(
+            "Process noise",
+            "learned: NaN in a channel of the IMU, 1 % of the samples",
+            changes.edited(IMU, BEGIN, END, triad(FORCE, axis(0, np.nan)), share=0.01),
+            (refused("not_finite", IMU), covered(), recovers(10.0)),
+            parameters=external,
+            sensors=learned,
+        ),
+        Row(
+            "Process noise",
+            "learned: gap of 1 s in a turn",
+            changes.dropped(IMU, 47.0, 48.0),
+            (nothing_refused(), counter("gaps", 1), covered(), recovers(20.0), rejoins()),
+            begin=47.0,
+            end=48.0,
+            parameters=external,
+            sensors=learned,
+        ),
+        Row(
+            "Process noise",
+            "learned: 10 % of all messages lost",
+            changes.network(loss=0.1),
+            (nothing_refused(), covered(), rejoins(), error_below(1.0)),
+            parameters=external,
+            sensors=learned,
+        ),
+        Row(
+            "Process noise",
+            "learned: one sample of 100 m/s^2 in an axis of the IMU",
+            changes.edited(IMU, BEGIN, BEGIN + 0.005, triad(FORCE, axis(0, 100.0))),
+            # It is a velocity of 1 m/s, and what the tuner learns from it lasts for its window.
+            (nothing_refused(), error_below(2.0), recovers(20.0), rejoins()),
+            end=BEGIN + 0.005,
+            parameters=external,
+            sensors=learned,
         ),
     ]
 
