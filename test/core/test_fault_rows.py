@@ -11,11 +11,22 @@ import pytest
 from insdvl.events import NS
 from insdvl.faults import changes, page, soak
 from insdvl.faults.changes import Change
-from insdvl.faults.checks import Check, Pair, nothing_refused, refused, rejoins, same_bits
+from insdvl.faults.checks import (
+    Check,
+    Pair,
+    covered,
+    nothing_refused,
+    refused,
+    rejoins,
+    same_bits,
+    used,
+)
 from insdvl.faults.flight import Flight, fly, parameters_of
 from insdvl.faults.matrix import judged
 from insdvl.faults.rows import ONE_SEED, ROWS
 from insdvl.faults.stream import DVL, IMU, Sensors, stream_of
+from insdvl.parameters import TunerParameters
+from insdvl.tuner.tuner import Tuner
 
 DOCS = Path(__file__).parents[2] / "docs"
 SENSORS = Sensors()
@@ -72,6 +83,61 @@ def test_checks_say_no() -> None:
     assert judge(refused("duplicate", IMU), copies) == ("`duplicate` 100 of 100", True)
     assert not judge(refused("no_stamp", IMU), both)[1]
     assert not judge(rejoins(), changes.dropped(DVL, 0.0, 10.0))[1]
+
+
+def test_sigma_that_does_not_tell_the_error_is_not_met() -> None:
+    calm = flown()
+
+    def met(sigmas: float, samples: int) -> bool:
+        error = 0.5 * calm.sigma
+        error[-samples:, 1] = sigmas * calm.sigma[-samples:, 1]
+        flight = replace(calm, error=error)
+        return covered().judge([Pair(flight, calm, SENSORS.start_ns, int(calm.times_ns[-1]))])[1]
+
+    assert met(2.9, 1000)
+    assert met(4.9, 100)  # 3 % of the three axes
+    assert not met(4.9, 200)
+    assert not met(5.1, 1)
+
+
+def test_measurements_used_are_counted_within_the_fault() -> None:
+    again = changes.second_publisher(3.9, 5.9, 0.001, DVL, decimals=3)
+    assert judge(used(2), again) == ("2 used", True)
+    assert not judge(used(2), changes.unchanged)[1]
+
+
+def test_a_clock_that_is_set_back_is_the_one_from_before() -> None:
+    stream = stream_of(SENSORS, 1, 10.0)
+    there = changes.clock_step(4.0, 1000.0)
+    change = changes.all_of(there, changes.clock_step(5.0, -1000.0))
+    moved = change(stream, np.random.default_rng(5))
+    assert [epoch.stamp_ns for epoch in moved.epochs] == [0, 1000 * NS, 0]
+    assert moved.arrivals[-1] == stream.arrivals[-1]
+
+
+def test_the_last_stamps_are_just_below_2_to_31_seconds() -> None:
+    (row,) = [row for row in ROWS if row.name == "stamps up to 2^31 s"]
+    assert 0 < 2**31 * NS - (row.sensors.start_ns + round(row.duration * NS)) < NS
+
+
+def test_a_tuner_tells_what_it_learns_from_the_faulted_messages() -> None:
+    sensors = Sensors(learned=True)
+    stream = stream_of(sensors, 1, 10.0)
+    assert {arrival.topic for arrival in stream.arrivals} == {IMU, DVL}
+    parameters = parameters_of(
+        stream.mission, sensors, 1, {"process_noise.source": "external", "q_timeout": 2.5}
+    )
+
+    def timeouts(change: Change) -> int:
+        faulted = change(stream, np.random.default_rng(5))
+        return fly(faulted, parameters, Tuner(TunerParameters())).counts["q_timeouts"]
+
+    assert timeouts(changes.unchanged) == 0
+    # What the filter does not get, or refuses, the tuner does not learn from either: it has no
+    # whole window for two seconds.
+    not_finite = changes.triad(changes.FORCE, lambda f: f * np.nan)
+    assert timeouts(changes.dropped(IMU, 4.0, 5.0)) == 1
+    assert timeouts(changes.edited(IMU, 4.0, 5.0, not_finite)) == 1
 
 
 def test_recovery_is_the_time_until_the_calm_flight_is_met_again() -> None:

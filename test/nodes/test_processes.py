@@ -139,23 +139,33 @@ def test_two_processes_lose_nothing(peer: Peer) -> None:
     assert process.wait(DEADLINE) == 0
 
 
-@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize(
-    ("module", "topic"), [("filter", "imu/data_raw"), ("monitor", "ground_truth/odometry")]
+    ("module", "kind", "gap"),
+    [
+        ("filter", signal.SIGINT, 0.0),  # two at once may become one
+        ("filter", signal.SIGINT, 0.005),
+        ("filter", signal.SIGINT, 0.05),
+        ("filter", signal.SIGTERM, 0.005),
+        ("monitor", signal.SIGINT, 0.005),
+        ("monitor", signal.SIGTERM, 0.05),
+    ],
 )
 def test_interrupted_twice_it_ends_cleanly(
-    peer: Peer, module: str, topic: str, kind: signal.Signals
+    peer: Peer, module: str, kind: signal.Signals, gap: float
 ) -> None:
+    topic = {"filter": "imu/data_raw", "monitor": "ground_truth/odometry"}[module]
     process = peer.start(module)
     peer.until(lambda: peer.node.count_subscribers(topic) == 1)
     process.send_signal(kind)
+    time.sleep(gap)  # the second meets another stage of the end
     process.send_signal(kind)
     assert process.wait(DEADLINE) == 0
     assert "Traceback" not in peer.output(process)
     peer.until(lambda: peer.node.count_subscribers(topic) == 0)
 
 
-def test_interrupted_under_load_it_ends_cleanly(peer: Peer) -> None:
+@pytest.mark.parametrize("gap", [0.005, 0.05])
+def test_interrupted_under_load_it_ends_cleanly(peer: Peer, gap: float) -> None:
     received: list[Odometry] = []
     peer.node.create_subscription(Odometry, "odometry/filtered", received.append, RELIABLE)
     publisher = peer.node.create_publisher(Imu, "imu/data_raw", RELIABLE)
@@ -165,6 +175,7 @@ def test_interrupted_under_load_it_ends_cleanly(peer: Peer) -> None:
         publisher.publish(imu_message(k))
     peer.until(lambda: len(received) > 10)
     process.send_signal(signal.SIGINT)
+    time.sleep(gap)
     process.send_signal(signal.SIGINT)
     assert process.wait(DEADLINE) == 0
     assert "Traceback" not in peer.output(process)

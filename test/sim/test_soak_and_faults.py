@@ -1,15 +1,20 @@
 """The commands behind `make faults` and `make soak`, in their short forms."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from nav_msgs.msg import Odometry
+from rclpy.serialization import serialize_message
 
+from insdvl.events import NS
 from insdvl.faults import page
 from insdvl.faults.verdicts import lost
+from ros_insdvl.conversions import time_of
 from ros_insdvl_sim import faults, process_rows, soak
 from ros_insdvl_sim.harness import HarnessError
 
@@ -21,6 +26,37 @@ def test_a_fault_row_of_the_network_is_met(tmp_path: Path) -> None:
     (row,) = document["rows"]
     assert row["met"] and row["lost"] == 0
     assert row["fault"] in (tmp_path / "reliability.md").read_text()
+
+
+@pytest.mark.parametrize(
+    ("published", "lives", "output_delay", "lost"),
+    [
+        (range(1, 101), (), 0.0, 0),
+        (range(1, 91), (), 0.0, 10),  # it died before the end
+        (range(1, 91), (), 0.1, 0),  # it holds them back
+        ([k for k in range(1, 101) if k != 50], (), 0.0, 1),
+        ([*range(1, 31), *range(61, 101)], (0.6,), 0.0, 0),  # nobody was there in between
+        ([*range(1, 31), *range(61, 91)], (0.6,), 0.0, 10),
+    ],
+)
+def test_a_sample_without_output_is_lost(
+    published: Sequence[int], lives: Sequence[float], output_delay: float, lost: int
+) -> None:
+    def odometry(k: int) -> tuple[int, bytes]:
+        stamp_ns = round(process_rows.START_S * NS) + k * NS // 100
+        message = Odometry()
+        message.header.stamp = time_of(stamp_ns)
+        message.twist.covariance = np.eye(6).ravel()
+        return stamp_ns, serialize_message(message)
+
+    outcome = process_rows.Outcome("a fault")
+    with process_rows.sea(4.0) as sea:
+        sea.truth = dict(map(odometry, range(101)))
+        sea.odometry = list(map(odometry, published))
+        sea.judge(outcome, 0.0, 0.1, lives=lives, output_delay=output_delay)
+    assert outcome.lost == lost
+    (check,) = [c for c in outcome.checks if c["expected"] == "no valid message lost"]
+    assert check["met"] == (lost == 0)
 
 
 def test_the_short_form_has_the_rows_that_it_names() -> None:

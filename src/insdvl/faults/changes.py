@@ -217,7 +217,9 @@ def outliers(begin: float, end: float, size: float) -> Change:
     return change
 
 
-def second_publisher(begin: float, end: float, delay: float, onto: str) -> Change:
+def second_publisher(
+    begin: float, end: float, delay: float, onto: str, decimals: int | None = None
+) -> Change:
     """A second driver publishes the same DVL measurement again.
 
     Args:
@@ -225,9 +227,12 @@ def second_publisher(begin: float, end: float, delay: float, onto: str) -> Chang
         end: [s].
         delay: Its stamps are later by this [s].
         onto: Its topic; the one with a covariance takes a message of that type.
+        decimals: To which it rounds the velocity [m/s], if it does.
     """
 
     def again(message: Any) -> Any:
+        if decimals is not None:
+            message = velocity(lambda v: v.round(decimals))(message)
         if onto == DVL_COVARIANCE:
             v = message.twist.linear
             stamp = message.header.stamp
@@ -314,7 +319,7 @@ def network(
 
 
 def clock_step(at: float, step: float) -> Change:
-    """The clock of the stamps is set at a time, ahead or back [s]."""
+    """The clock of the stamps is set at a time, ahead or back [s] of what it is then."""
 
     def change(stream: Stream, rng: np.random.Generator) -> Stream:
         step_ns, begin_ns = round(step * NS), stream.mission.start_ns + round(at * NS)
@@ -325,7 +330,8 @@ def clock_step(at: float, step: float) -> Change:
             yield arrival
 
         moved = stream.changed(each)
-        return replace(moved, epochs=(*stream.epochs, Epoch(begin_ns, stamp_ns=step_ns)))
+        epoch = Epoch(begin_ns, stamp_ns=stream.epochs[-1].stamp_ns + step_ns)
+        return replace(moved, epochs=(*stream.epochs, epoch))
 
     return change
 
@@ -343,12 +349,12 @@ def played_again(length: float) -> Change:
     return change
 
 
-def refused_from(begin: float, topics: Sequence[str]) -> Change:
-    """Nothing of these topics is to be used from a time on."""
+def unpublished(begin: float, end: float, topics: Sequence[str]) -> Change:
+    """No output is expected of messages of these topics that come within [begin, end)."""
 
     def change(stream: Stream, rng: np.random.Generator) -> Stream:
         def each(arrival: Arrival) -> Iterator[Arrival]:
-            touched = arrival.topic in topics and stream.seconds(arrival) >= begin
+            touched = any(_inside(stream, arrival, topic, begin, end) for topic in topics)
             yield arrival._replace(valid=arrival.valid and not touched)
 
         return stream.changed(each)

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from insdvl import messages
 from insdvl.events import NS
-from insdvl.faults.stream import DVL, IMU, Sensors, Stream
+from insdvl.faults.stream import DVL, IMU, Arrival, Sensors, Stream, learned_from
 from insdvl.fold import AppliedUpdate, Fold, TimeJump
 from insdvl.frames import ENU, rpy_from_rotation
 from insdvl.inputs import Inputs
@@ -20,6 +20,7 @@ from insdvl.messages import RejectedMessage
 from insdvl.odometry import Odometry
 from insdvl.parameters import FilterParameters, InitialParameters, build
 from insdvl.simulation.mission import Mission
+from insdvl.tuner.tuner import Tuner
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -97,12 +98,19 @@ def parameters_of(
     return build(FilterParameters, values | dict(changes))
 
 
-def fly(stream: Stream, parameters: FilterParameters) -> Flight:
-    """Give every message to the filter when it arrives, and take what it publishes."""
+def fly(stream: Stream, parameters: FilterParameters, tuner: Tuner | None = None) -> Flight:
+    """Give every message to the filter when it arrives, and take what it publishes.
+
+    Args:
+        stream: The messages.
+        parameters: Of the filter.
+        tuner: Tells the process noise that it learns from the same messages of the IMU.
+    """
     fold, inputs = Fold(parameters), Inputs(parameters)
     out = _Outputs(stream)
     refused: Counter[str] = Counter()
-    for time_ns, topic, message, _ in stream.arrivals:
+    arrivals = stream.arrivals if tuner is None else _with_learned(stream.arrivals, tuner)
+    for time_ns, topic, message, _ in arrivals:
         if topic not in inputs.topics:
             continue
         try:
@@ -121,6 +129,14 @@ def fly(stream: Stream, parameters: FilterParameters) -> Flight:
             else:
                 out.add(output, time_ns, fold)
     return out.flight(parameters, dict(refused), fold.counts)
+
+
+def _with_learned(arrivals: Iterable[Arrival], tuner: Tuner) -> Iterator[Arrival]:
+    """Messages, and the process noise that a tuner learns from those of the IMU."""
+    for arrival in arrivals:
+        yield arrival
+        if arrival.topic == IMU and (learned := learned_from(arrival, tuner)):
+            yield learned
 
 
 class _Outputs:

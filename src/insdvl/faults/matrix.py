@@ -13,6 +13,8 @@ from insdvl.faults.checks import Pair, always
 from insdvl.faults.flight import Flight, fly, parameters_of
 from insdvl.faults.rows import ROWS, Row
 from insdvl.faults.stream import Sensors, stream_of
+from insdvl.parameters import TunerParameters
+from insdvl.tuner.tuner import Tuner
 
 Array = NDArray[np.float64]
 
@@ -60,7 +62,7 @@ def pair(row: Row, seed: int) -> Pair:
     stream = stream_of(row.sensors, seed, row.duration)
     parameters = parameters_of(stream.mission, row.sensors, seed, row.parameters)
     faulted = row.change(stream, np.random.default_rng([seed, 3]))
-    flight = fly(faulted, parameters)
+    flight = fly(faulted, parameters, _tuner(row.sensors))
     shift_ns = 0
     if row.calm is not None:
         shift_ns = row.sensors.start_ns - row.calm.start_ns
@@ -79,7 +81,12 @@ def _calm(
     sensors: Sensors, seed: int, duration: float, parameters: tuple[tuple[str, Any], ...]
 ) -> Flight:
     stream = stream_of(sensors, seed, duration)
-    return fly(stream, parameters_of(stream.mission, sensors, seed, dict(parameters)))
+    filter_parameters = parameters_of(stream.mission, sensors, seed, dict(parameters))
+    return fly(stream, filter_parameters, _tuner(sensors))
+
+
+def _tuner(sensors: Sensors) -> Tuner | None:
+    return Tuner(TunerParameters()) if sensors.learned else None
 
 
 def _rms(pairs: Iterable[Pair], windows: Iterable[tuple[int, int]], which: str) -> float | None:

@@ -24,6 +24,7 @@ from insdvl.faults.checks import (
     same_bits,
     stops,
     update_reason,
+    used,
 )
 from insdvl.faults.stream import DVL, DVL_COVARIANCE, IMU, Q, Sensors
 
@@ -74,6 +75,9 @@ class Row:
         """The same, of other seeds."""
         return replace(self, seeds=seeds)
 
+
+#: Start of a mission of the usual length whose last sample is 10 ms before 2^31 s.
+LAST_START_NS = 2**31 * NS - round((END + SETTLE + AFTER + 1.01) * NS)
 
 #: How a filter starts under way that does not know when its time jumps: it finds roll and pitch
 #: from a second of specific force, and the velocity from the DVL.
@@ -222,6 +226,33 @@ def _imu_rows() -> list[Row]:
             parameters={"imu.rate_range": 2.0},
         ),
     ]
+    rows += [
+        Row(
+            "IMU",
+            "accelerometer x stuck at its range for 10 s; no range declared",
+            changes.clipped(FORCE, 0, 20.0, BEGIN, BEGIN + 10.0, push=50.0),
+            # The readings are taken as they are until they count as frozen: then the gate has no
+            # patience, and the covariance covers what they have done.
+            (
+                nothing_refused(),
+                counter("saturated", 0),
+                counter("frozen", 901, 1000),
+                recovers(40.0),
+                rejoins(),
+            ),
+            end=BEGIN + 10.0,
+        ),
+        Row(
+            "IMU",
+            "gyroscope z at its range in a turn of 30 s; no range declared",
+            changes.clipped(RATE, 2, 0.1, 130.0, 160.0, push=0.0),
+            # Nobody knows: the turn that is missed is an error of heading that no sigma tells, and
+            # the DVL alone brings the velocity back.
+            (nothing_refused(), counter("saturated", 0), recovers(40.0), rejoins()),
+            begin=130.0,
+            end=160.0,
+        ),
+    ]
     for name, channel, words in (
         (FORCE, 0, "accelerometer x"),
         (FORCE, 2, "accelerometer z"),
@@ -315,6 +346,32 @@ def _dvl_rows() -> list[Row]:
         ),
         Row(
             "DVL",
+            "infinity in an axis for 30 s",
+            changes.edited(DVL, BEGIN, END, velocity(axis(1, -np.inf))),
+            (refused("not_finite", DVL), covered(), recovers(10.0), rejoins()),
+        ),
+        Row(
+            "DVL",
+            "copies without a stamp (zero)",
+            changes.added(DVL, BEGIN, END, changes.stamped(0, 0)),
+            (refused("no_stamp", DVL), same_bits()),
+            seeds=ONE_SEED,
+        ),
+        Row(
+            "DVL",
+            "copies with negative seconds",
+            changes.added(DVL, BEGIN, END, changes.stamped(-1000, 0)),
+            (refused("bad_stamp", DVL), same_bits()),
+            seeds=ONE_SEED,
+        ),
+        Row(
+            "DVL",
+            "out of order beyond max_delay, every second measurement",
+            changes.invalid_when_late(DVL, BEGIN, END, 3.0, 0.5),
+            (refused("too_late", DVL), covered(), recovers(10.0), rejoins()),
+        ),
+        Row(
+            "DVL",
             "a second publisher, same stamps, with a covariance",
             changes.second_publisher(BEGIN, END, 0.0, DVL_COVARIANCE),
             (refused("duplicate", DVL_COVARIANCE), same_bits()),
@@ -325,6 +382,13 @@ def _dvl_rows() -> list[Row]:
             "a second publisher, stamps 1 ms later",
             changes.second_publisher(BEGIN, END, 0.001, DVL),
             (update_reason("repeated"), covered(), recovers(10.0), rejoins()),
+        ),
+        Row(
+            "DVL",
+            "a second publisher, stamps 1 ms later, rounded to 1 mm/s",
+            changes.second_publisher(BEGIN, END, 0.001, DVL, decimals=3),
+            # Two measurements with one noise: sigma is too small, by no more than sqrt(2).
+            (nothing_refused(), used(54), covered(), recovers(10.0), rejoins()),
         ),
         Row(
             "DVL",
@@ -366,6 +430,7 @@ def _dvl_rows() -> list[Row]:
 
 def _process_noise_rows() -> list[Row]:
     external = {"process_noise.source": "external"}
+    learned = Sensors(learned=True)
 
     def told(change: Callable[[Any], Any]) -> Change:
         return changes.edited(Q, BEGIN, END, change)
@@ -407,6 +472,42 @@ def _process_noise_rows() -> list[Row]:
             (nothing_refused(), counter("ceilings", 30), covered(), recovers(20.0), rejoins()),
             parameters=external,
         ),
+        Row(
+            "Process noise",
+            "learned: NaN in a channel of the IMU, 1 % of the samples",
+            changes.edited(IMU, BEGIN, END, triad(FORCE, axis(0, np.nan)), share=0.01),
+            (refused("not_finite", IMU), covered(), recovers(10.0)),
+            parameters=external,
+            sensors=learned,
+        ),
+        Row(
+            "Process noise",
+            "learned: gap of 1 s in a turn",
+            changes.dropped(IMU, 47.0, 48.0),
+            (nothing_refused(), counter("gaps", 1), covered(), recovers(20.0), rejoins()),
+            begin=47.0,
+            end=48.0,
+            parameters=external,
+            sensors=learned,
+        ),
+        Row(
+            "Process noise",
+            "learned: 10 % of all messages lost",
+            changes.network(loss=0.1),
+            (nothing_refused(), covered(), rejoins(), error_below(1.0)),
+            parameters=external,
+            sensors=learned,
+        ),
+        Row(
+            "Process noise",
+            "learned: one sample of 100 m/s^2 in an axis of the IMU",
+            changes.edited(IMU, BEGIN, BEGIN + 0.005, triad(FORCE, axis(0, 100.0))),
+            # It is a velocity of 1 m/s, and what the tuner learns from it lasts for its window.
+            (nothing_refused(), error_below(2.0), recovers(20.0), rejoins()),
+            end=BEGIN + 0.005,
+            parameters=external,
+            sensors=learned,
+        ),
     ]
 
 
@@ -433,7 +534,8 @@ def _time_rows() -> list[Row]:
                 "Time",
                 f"clock set {_way(step)} by {abs(step):g} s; jump_action hold",
                 changes.all_of(
-                    changes.clock_step(BEGIN, step), changes.refused_from(BEGIN, (IMU, DVL))
+                    changes.clock_step(BEGIN, step),
+                    changes.unpublished(BEGIN, np.inf, (IMU, DVL)),
                 ),
                 (counter("time_jumps", 0), stops()),
                 end=BEGIN,
@@ -442,6 +544,46 @@ def _time_rows() -> list[Row]:
             )
         )
     rows += [
+        Row(
+            "Time",
+            "clock set ahead by 1000 s and back after 5 s; jump_action hold",
+            changes.all_of(
+                changes.clock_step(BEGIN, 1000.0),
+                changes.clock_step(BEGIN + 5.0, -1000.0),
+                changes.unpublished(BEGIN, BEGIN + 5.0, (IMU, DVL)),
+            ),
+            # Two samples tell that the time in between was a gap; the first had been refused.
+            (
+                counter("time_jumps", 0),
+                counter("gaps", 1),
+                counter("recovered", 1),
+                covered(),
+                recovers(20.0),
+                rejoins(),
+            ),
+            end=BEGIN + 5.0,
+            parameters={"jump_action": "hold"},
+        ),
+        Row(
+            "Time",
+            "clock set back by 1 s, onto stamps that were there",
+            changes.all_of(
+                changes.clock_step(BEGIN, -1.0),
+                changes.unpublished(BEGIN, BEGIN + 1.0, (IMU, DVL)),
+            ),
+            (refused("duplicate", IMU, DVL), covered(), recovers(20.0), rejoins()),
+            end=BEGIN + 1.0,
+        ),
+        Row(
+            "Time",
+            "clock set back by 1.003 s, in between the stamps that were there",
+            changes.all_of(
+                changes.clock_step(BEGIN, -1.003),
+                changes.unpublished(BEGIN, BEGIN + 1.003, (IMU,)),
+            ),
+            (nothing_refused(), covered(), recovers(20.0), rejoins()),
+            end=BEGIN + 1.003,
+        ),
         Row(
             "Time",
             "clock set ahead by 5 s, less than jump_limit",
@@ -478,7 +620,7 @@ def _time_rows() -> list[Row]:
             "stamps up to 2^31 s",
             changes.unchanged,
             (nothing_refused(), same_bits()),
-            sensors=Sensors(start_ns=(2**31 - 200) * NS),
+            sensors=Sensors(start_ns=LAST_START_NS),
             calm=Sensors(),
             seeds=ONE_SEED,
         ),

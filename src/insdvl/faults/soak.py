@@ -15,12 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl import messages
 from insdvl.events import NS, Dvl, Imu
-from insdvl.faults.stream import Arrival, dvl_arrivals, imu_arrivals
+from insdvl.faults.stream import IMU, Arrival, dvl_arrivals, imu_arrivals, learned_from
 from insdvl.filter import Filter
 from insdvl.fold import AppliedUpdate, Fold
-from insdvl.frames import ENU, NED, rpy_from_rotation
+from insdvl.frames import ENU, rpy_from_rotation
 from insdvl.inputs import Inputs
 from insdvl.parameters import FilterParameters, TunerParameters, build
 from insdvl.simulation.mission import ImuModel, Mission, simulate
@@ -193,19 +192,14 @@ def steps(parameters: FilterParameters, millions: int, seed: int) -> Iterator[He
 
 def _taken(arrival: Arrival, fold: Fold, inputs: Inputs, tuner: Tuner) -> list[Any]:
     """What the filter publishes after a message, and after the process noise learned from it."""
-    _give(arrival.topic, arrival.message, fold, inputs)
-    if arrival.topic == "imu/data_raw":
-        sample = messages.imu(arrival.message, NED)
-        tuned = tuner.add(sample.stamp_ns, np.concatenate([sample.f_b, sample.w_ib_b]))
-        if tuned is not None:
-            arrival.message.linear_acceleration_covariance = np.diag(tuned.variances[:3]).ravel()
-            arrival.message.angular_velocity_covariance = np.diag(tuned.variances[3:]).ravel()
-            _give("process_noise", arrival.message, fold, inputs)
+    _give(arrival, fold, inputs)
+    if arrival.topic == IMU and (learned := learned_from(arrival, tuner)):
+        _give(learned, fold, inputs)
     return fold.take()
 
 
-def _give(topic: str, message: Any, fold: Fold, inputs: Inputs) -> None:
-    for event in inputs.events(topic, message, fold.newest_ns):
+def _give(arrival: Arrival, fold: Fold, inputs: Inputs) -> None:
+    for event in inputs.events(arrival.topic, arrival.message, fold.newest_ns):
         fold.add(event)
 
 

@@ -8,12 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl import bags
+from insdvl import bags, messages
 from insdvl.events import NS
-from insdvl.frames import ENU
+from insdvl.frames import ENU, NED
 from insdvl.simulation.mission import ImuModel, Mission, simulate
 from insdvl.simulation.noise import constant
 from insdvl.simulation.trajectories import AUV
+from insdvl.tuner.tuner import Tuner
 
 Array = NDArray[np.float64]
 
@@ -101,11 +102,13 @@ class Sensors:
         imu: One of `IMUS`.
         rate: Of the IMU [Hz]; the density of its noise is the same at every rate.
         start_ns: Stamp of the start.
+        learned: Whether a tuner tells the process noise that it learns; else the true one is told.
     """
 
     imu: str = "noisy"
     rate: float = 100.0
     start_ns: int = 1000 * NS
+    learned: bool = False
 
     @property
     def variances(self) -> tuple[float, float]:
@@ -116,7 +119,7 @@ class Sensors:
 
 @lru_cache(maxsize=4)
 def stream_of(sensors: Sensors, seed: int, duration: float) -> Stream:
-    """An AUV, and its true process noise once a second.
+    """An AUV, and its true process noise once a second where none is learned.
 
     Args:
         sensors: What navigates.
@@ -131,7 +134,9 @@ def stream_of(sensors: Sensors, seed: int, duration: float) -> Stream:
         imu=ImuModel(rate=sensors.rate),
         start_ns=sensors.start_ns,
     )
-    arrivals = [*imu_arrivals(mission), *dvl_arrivals(mission), *_process_noise(mission)]
+    arrivals = [*imu_arrivals(mission), *dvl_arrivals(mission)]
+    if not sensors.learned:
+        arrivals += _process_noise(mission)
     arrivals.sort(key=lambda arrival: arrival.time_ns)
     return Stream(tuple(arrivals), mission, (Epoch(sensors.start_ns),))
 
@@ -147,6 +152,24 @@ def dvl_arrivals(mission: Mission) -> Iterator[Arrival]:
     """The DVL's messages, each at its stamp."""
     for stamp_ns, v in zip(mission.dvl_stamps_ns.tolist(), mission.v_d @ ENU.body, strict=True):
         yield Arrival(stamp_ns, DVL, bags.twist_message(stamp_ns, "dvl_link", v))
+
+
+def learned_from(arrival: Arrival, tuner: Tuner) -> Arrival | None:
+    """What the tuner's node sends after a message of the IMU, where it sends something."""
+    try:
+        sample = messages.imu(arrival.message, NED)
+    except messages.RejectedMessage:
+        return None
+    # A channel's variance is the same whichever way the axes point: none is turned.
+    tuned = tuner.add(sample.stamp_ns, np.concatenate([sample.f_b, sample.w_ib_b]))
+    if tuned is None:
+        return None
+    message = replace(
+        arrival.message,
+        linear_acceleration_covariance=np.diag(tuned.variances[:3]).ravel(),
+        angular_velocity_covariance=np.diag(tuned.variances[3:]).ravel(),
+    )
+    return Arrival(arrival.time_ns, Q, message)
 
 
 def _process_noise(mission: Mission) -> Iterator[Arrival]:
