@@ -137,7 +137,7 @@ def test_an_unknown_name_says_where_it_was_looked_for():
 @pytest.mark.parametrize("text", ["", "{", "[1]", "null", '"paper"'])
 def test_a_card_that_is_no_json_object_is_named(model, text):
     model.with_suffix(".json").write_text(text)
-    with pytest.raises(ModelError, match=r"card .*paper\.json is no JSON"):
+    with pytest.raises(ModelError, match=r"card.*paper\.json is no JSON"):
         load_model(str(model))
 
 

@@ -19,7 +19,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl.files import read, shown, write
+from insdvl.files import read, read_json, shown, write
 from insdvl.tuner import forest, network
 from insdvl.tuner.forest import Forest
 from insdvl.tuner.network import Network
@@ -202,14 +202,9 @@ def _assembled(card: Mapping[str, Any], card_file: Path, data: bytes, file: Path
 
 def _card(file: Path) -> dict[str, Any]:
     try:
-        card = json.loads(read(file, MAX_CARD_BYTES).decode("utf-8"))
-    except OSError as error:
-        reason = error.strerror or error
-        raise ModelError(f"cannot read the model's card {file}: {reason}") from error
-    except (ValueError, RecursionError) as error:
-        raise ModelError(f"the model's card {file} is no JSON: {error}") from error
-    if not isinstance(card, dict):
-        raise ModelError(f"the model's card {file} is no JSON object")
+        card = read_json(file, MAX_CARD_BYTES)
+    except ValueError as error:
+        raise ModelError(f"cannot read the model's card: {error}") from error
     _check_card(card, file)
     return card
 
