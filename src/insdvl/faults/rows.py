@@ -461,8 +461,8 @@ def _process_noise_rows() -> list[Row]:
             "Process noise",
             "far too small for 30 s: the floor",
             told(changes.covariance(1e-30 * np.eye(3))),
-            # For as long the filter has believed too much, and is let go by the gate's time only.
-            (nothing_refused(), counter("floors", 30), recovers(40.0)),
+            # The sigma is wrong with its Q: what is asked for is that no good measurement is lost.
+            (nothing_refused(), counter("floors", 30), error_below(1.0), rejoins()),
             parameters=external,
         ),
         Row(
