@@ -130,7 +130,7 @@ class FilterNode(InsdvlNode[FilterParameters]):
 
     def _receive(self, topic: str, message: Any) -> None:
         try:
-            for event in self._inputs.events(topic, message, self._fold.newest_ns):
+            for event in self._inputs.events(topic, message, self._fold):
                 refusal = self._fold.add(event)
                 if refusal is not None:
                     self.reject(topic, refusal, f"{refusal}: stamp {event.stamp_ns} ns")

@@ -1,5 +1,6 @@
 """What becomes of a message by its topic: frames, stamps of zero, and the first initial state."""
 
+from collections.abc import Iterable
 from types import SimpleNamespace as Message
 from typing import Any
 
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 
 from insdvl.events import NS, Event, Imu, Initial, ProcessNoise
+from insdvl.fold import Fold
 from insdvl.inputs import Inputs
 from insdvl.messages import RejectedMessage
 from insdvl.parameters import FilterParameters, build
@@ -55,8 +57,12 @@ def inputs(**values: Any) -> Inputs:
     return Inputs(build(FilterParameters, {n.replace("__", "."): v for n, v in values.items()}))
 
 
-def events(of: Inputs, topic: str, message: Any, newest_ns: int = NOW) -> list[Event]:
-    return list(of.events(topic, message, newest_ns))
+def events(
+    of: Inputs, topic: str, message: Any, newest_ns: int = NOW, *, started: bool = False
+) -> list[Event]:
+    """Those for a fold that has come so far."""
+    fold: Any = Message(newest_ns=newest_ns, latest=Message() if started else None)
+    return list(of.events(topic, message, fold))
 
 
 def refused(of: Inputs, topic: str, message: Any, newest_ns: int = NOW) -> str:
@@ -149,12 +155,12 @@ def test_before_the_first_sample_it_waits_for_it() -> None:
 
 def test_the_first_of_a_topic_and_what_is_late_are_given_on() -> None:
     of = inputs(initial__mode="topic", initial__topic="truth", max_delay=1.0)
-    for stamp in (NOW, NOW - NS, NOW + NS):
-        assert len(events(of, "truth", odometry(stamp))) == 1
+    assert len(events(of, "truth", odometry(NOW))) == 1
+    for newest_ns in (NOW, NOW + NS):
+        assert len(events(of, "truth", odometry(NOW - 1), newest_ns, started=True)) == 1
     assert not of.initial_done
-    assert events(of, "truth", odometry(NOW + NS + 1)) == []
+    assert events(of, "truth", odometry(NOW - 1), NOW + NS + 1, started=True) == []
     assert of.initial_done
-    assert events(of, "truth", odometry(NOW)) == []
     of.reset()
     assert len(events(of, "truth", odometry(NOW))) == 1
 
@@ -166,3 +172,51 @@ def test_the_first_may_be_of_another_time_than_the_samples() -> None:
     for stamp in (NOW + 3600 * NS, NOW - 3600 * NS):
         assert len(events(of, "truth", odometry(stamp))) == 1
     assert not of.initial_done
+
+
+def fix(stamp_ns: int) -> Message:
+    return Message(
+        header=header(stamp_ns, ""),
+        status=Message(status=0),
+        latitude=32.0,
+        longitude=34.0,
+        altitude=0.0,
+    )
+
+
+def told(*, origin: str, samples_from: int, truth: Iterable[tuple[int, int]], fix_at: int) -> Fold:
+    """A filter that a topic starts, after four seconds.
+
+    Args:
+        origin: Where odom's origin comes from.
+        samples_from: When the samples begin [steps of 0.1 s].
+        truth: When each message of the topic comes [steps], and its stamp [ns].
+        fix_at: When the fix comes [steps].
+    """
+    of = inputs(initial__mode="topic", initial__topic="truth", origin__source=origin, max_delay=0.5)
+    fold = Fold(of._parameters)
+    arrivals: list[tuple[int, str, Any]] = [
+        (k, "imu/data_raw", imu(NOW + k * NS // 10)) for k in range(samples_from, 40)
+    ]
+    arrivals += [(k, "truth", odometry(stamp_ns)) for k, stamp_ns in truth]
+    arrivals.append((fix_at, "gps/fix", fix(NOW + fix_at * NS // 10)))
+    for _, topic, message in sorted(arrivals, key=lambda arrival: arrival[0]):
+        if topic in of.topics:
+            for event in of.events(topic, message, fold):
+                fold.add(event)
+    return fold
+
+
+IN_TIME = [(k, NOW + k * NS // 10) for k in range(30)]
+LATE_START = {
+    "the origin comes later": ("topic", 0, IN_TIME, 20),
+    "the first is too late": ("parameters", 0, [(10, NOW - 40 * NS // 10), *IN_TIME[11:]], 0),
+    "the first has no stamp": ("parameters", 3, [(0, 0), *IN_TIME[4:]], 0),
+}
+
+
+@pytest.mark.parametrize("name", LATE_START)
+def test_where_the_first_of_a_topic_starts_nothing_a_later_one_does(name: str) -> None:
+    origin, samples_from, truth, fix_at = LATE_START[name]
+    fold = told(origin=origin, samples_from=samples_from, truth=truth, fix_at=fix_at)
+    assert fold.latest is not None

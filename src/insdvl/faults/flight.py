@@ -106,7 +106,7 @@ def fly(stream: Stream, parameters: FilterParameters) -> Flight:
         if topic not in inputs.topics:
             continue
         try:
-            for event in inputs.events(topic, message, fold.newest_ns):
+            for event in inputs.events(topic, message, fold):
                 refusal = fold.add(event)
                 if refusal is not None:
                     refused[f"{topic}: {refusal}"] += 1

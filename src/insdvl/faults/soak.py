@@ -203,7 +203,7 @@ def _taken(arrival: Arrival, fold: Fold, inputs: Inputs, tuner: Tuner) -> list[A
 
 
 def _give(topic: str, message: Any, fold: Fold, inputs: Inputs) -> None:
-    for event in inputs.events(topic, message, fold.newest_ns):
+    for event in inputs.events(topic, message, fold):
         fold.add(event)
 
 
