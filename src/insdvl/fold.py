@@ -487,19 +487,20 @@ class Fold:
             event = entries[e].event
             if state[0]["initialised"] and not (isinstance(event, Initial) and event.once):
                 self.filter.predict_part(state, stamp_ns, f_b, w_ib_b, reading, event.stamp_ns)
-            self._apply(state, entries[e], k)
+            self._apply(state, e, k)
             e += 1
         if state[0]["initialised"]:
             self._predict(state, k, k + 1)
         else:
             self.filter.await_start(state, Imu(stamp_ns, f_b, w_ib_b), reading)
         while e < len(entries) and entries[e].event.stamp_ns == stamp_ns:
-            self._apply(state, entries[e], k)
+            self._apply(state, e, k)
             e += 1
         return e
 
-    def _apply(self, state: Records, entry: _Entry, k: int) -> None:
-        """Apply an event at the time of the state, inside or at the end of sample k's interval."""
+    def _apply(self, state: Records, e: int, k: int) -> None:
+        """Apply event e at the time of the state, inside or at the end of sample k's interval."""
+        entry = self._entries[e]
         event = entry.event
         if isinstance(event, Dvl):
             mean = np.empty(3)
@@ -510,13 +511,25 @@ class Fold:
         elif isinstance(event, ProcessNoise):
             self.filter.tell_process_noise(state, event)
         elif isinstance(event, Initial):
-            missed_ns = int(self._stamps[k]) - event.stamp_ns
-            if state[0]["imu_ns"] == NEVER and missed_ns > self._jump_limit_ns:
+            stamp_ns, waited = int(self._stamps[k]), state[0]["imu_ns"] == NEVER
+            if waited and stamp_ns - event.stamp_ns > self._jump_limit_ns:
                 state["too_old"] += 1  # nobody knows where the vehicle has gone since
+            elif waited and event.once and self._is_once_told_again(e, stamp_ns):
+                pass  # of those that waited for the first sample the newest has missed the least
             elif not (event.once and state[0]["initialised"]):
                 self.filter.initialise(state, event, event.stamp_ns, self._w_ib_b[k])
         elif isinstance(event, Origin):
             self.filter.locate(state, event)
+
+    def _is_once_told_again(self, e: int, until_ns: int) -> bool:
+        """Whether up to a stamp another initial state that applies once follows event e."""
+        for i in range(e + 1, len(self._entries)):
+            event = self._entries[i].event
+            if event.stamp_ns > until_ns:
+                break
+            if isinstance(event, Initial) and event.once:
+                return True
+        return False
 
     # ---------------------------------------------------------------- output
 
