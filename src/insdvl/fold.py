@@ -221,7 +221,7 @@ class Fold:
         if reason is not None:
             return reason
         if self._count:
-            ahead_ns = event.stamp_ns - self.newest_ns
+            ahead_ns = event.stamp_ns - self._last_ns
             if ahead_ns < -self._max_delay_ns:
                 return self._suspect(event, "too_late")
             if ahead_ns > self._limit_ns(event):
@@ -246,7 +246,7 @@ class Fold:
 
     def _suspect(self, event: Event, reason: str) -> str | None:
         """Keep an event of another time, and follow there when the samples have gone there."""
-        newest_ns, stamp_ns = self.newest_ns, event.stamp_ns
+        newest_ns, stamp_ns = self._last_ns, event.stamp_ns
         self._suspects.append((newest_ns, event))
         if not isinstance(event, Imu) or abs(stamp_ns - newest_ns) <= self._near_ns:
             return reason
@@ -259,28 +259,35 @@ class Fold:
         if run.count < (GAP_SAMPLES if is_gap else JUMP_SAMPLES):
             return reason
         candidates = [suspect for _, suspect in self._suspects]
+        # Behind the state of another run these samples are the first: what waits for them is kept.
+        resumed = self._only_resumed
+        reach_ns = self._jump_limit_ns if resumed else self._max_delay_ns
         if not is_gap:
             jump = TimeJump(newest_ns, run.first_ns)
-            resumed = newest_ns == self._resumed_ns  # and no sample has followed: none to hold
             if self.parameters.jump_action == "hold" and not resumed:
                 self.held = jump
                 return reason
             # What waited for samples of the old time may belong to the new one.
             waiting = [e.event for e in self._entries if e.event.stamp_ns > newest_ns]
             self._leave(jump)
-            self._counts["given_up"] += len(waiting) - self._insert_of(run, waiting)
+            self._counts["given_up"] += len(waiting) - self._insert_of(run, waiting, reach_ns)
         self._suspects.clear()
         # The sample that completes the run has not been refused.
-        self._counts["recovered"] += self._insert_of(run, candidates) - 1
+        self._counts["recovered"] += self._insert_of(run, candidates, reach_ns) - 1
         self._confirm_present()
         return None
 
-    def _insert_of(self, run: _Run, candidates: Iterable[Event]) -> int:
-        """Insert those events that are of the run's time; returns how many are new."""
+    def _insert_of(self, run: _Run, candidates: Iterable[Event], reach_ns: int) -> int:
+        """Insert those events that are of the run's time; returns how many are new.
+
+        What is no sample may be older than the run by ``reach_ns``.
+        """
         count = 0
         for event in candidates:
-            last_ns = run.last_ns + (0 if isinstance(event, Imu) else self._limit_ns(event))
-            if run.first_ns - self._max_delay_ns <= event.stamp_ns <= last_ns:
+            is_sample = isinstance(event, Imu)
+            first_ns = run.first_ns - (self._max_delay_ns if is_sample else reach_ns)
+            last_ns = run.last_ns + (0 if is_sample else self._limit_ns(event))
+            if first_ns <= event.stamp_ns <= last_ns:
                 count += self._insert(event) is None
         return count
 
@@ -288,21 +295,25 @@ class Fold:
         """A sample of the present time was accepted: no run of suspects is one."""
         self._run = self.held = None
         # Suspects stay while stamps that arrive in another order could still make them needed.
-        oldest_ns = self.newest_ns - self._max_delay_ns
+        oldest_ns = self._last_ns - self._max_delay_ns
         while self._suspects and self._suspects[0][0] < oldest_ns:
             self._suspects.popleft()
 
     def _leave(self, jump: TimeJump) -> None:
-        """Put the present time aside and begin an empty one; where odom lies stays known."""
+        """Put the present time aside and begin an empty one; where odom lies stays known.
+
+        Not where only a state of another run says so: that run was elsewhere, too.
+        """
         result = FoldResult(self.filter, self.states, self.updates, self._state_counts(), {})
         stamps_ns = self._stamps[: self._count]
         self._left.append(_Left(jump, result, stamps_ns, self._unpublished, self._published_ns))
         self._counts.update(result.counts)
         self._counts["time_jumps"] += 1
-        last = self._states[self._count - 1]
+        last, is_known = self._states[self._count - 1], not self._only_resumed
         self._begin()
-        for name in ("lat_0", "lon_0", "h_0"):
-            self._start[name] = last[name]
+        if is_known:
+            for name in ("lat_0", "lon_0", "h_0"):
+                self._start[name] = last[name]
 
     @property
     def left(self) -> "list[FoldResult]":
@@ -311,8 +322,18 @@ class Fold:
 
     @property
     def newest_ns(self) -> int:
-        """Stamp of the newest sample, NEVER before the first."""
+        """Stamp of the newest sample, NEVER before the first; that of another run is none."""
+        return NEVER if self._only_resumed else self._last_ns
+
+    @property
+    def _last_ns(self) -> int:
+        """Stamp of the newest state, also of that of another run; NEVER before the first."""
         return int(self._stamps[self._count - 1]) if self._count else NEVER
+
+    @property
+    def _only_resumed(self) -> bool:
+        """Whether there is but the state of another run."""
+        return self._resumed_ns != NEVER and self._last_ns == self._resumed_ns
 
     def _add_imu(self, sample: Imu) -> str | None:
         rotated = np.empty((2, 3))
@@ -426,7 +447,7 @@ class Fold:
         What is kept reaches back by max_delay, and before that by the averaging of the turn rate.
         """
         self._fold()
-        oldest_ns = self.newest_ns - self._max_delay_ns
+        oldest_ns = self._last_ns - self._max_delay_ns
         reach_ns = min(oldest_ns, self._published_ns) - self._gyro_average_ns
         drop = max(int(np.searchsorted(self._stamps[: self._count], reach_ns)) - 2, 0)
         if drop < max(self._count // 2, 1):  # the buffer is too small for the delays: double it
@@ -586,7 +607,7 @@ class Fold:
             outputs.append(left.jump)
         self._left.clear()
         if self._count:
-            until_ns = self.newest_ns - self._output_delay_ns
+            until_ns = self._last_ns - self._output_delay_ns
             stamps_ns = self._stamps[: self._count]
             done, self._unpublished = _split(self._unpublished, until_ns)
             first, last = _between(stamps_ns, self._published_ns, until_ns)
