@@ -207,7 +207,7 @@ class FilterNode(InsdvlNode[FilterParameters]):
         self._begin_time()
         if self._state_file is not None:
             self._state_file.remove()
-        self.get_logger().info("reset: the filter is uninitialised")
+        self.get_logger().info("reset: the filter is uninitialised; odom's origin stays as it is")
         response.success = True
         response.message = f"uninitialised; initial.mode is {self.parameters.initial.mode}"
         return response

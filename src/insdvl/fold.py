@@ -153,10 +153,19 @@ class Fold:
         self._near_ns = max(self._max_delay_ns, max_gap_ns)  # samples as near are of one time
         self._run_gap_ns = max(RUN_GAP_NS, max_gap_ns)
         self._capacity = capacity
-        self.reset()
+        self._clear()
 
     def reset(self) -> None:
-        """Forget everything; initialisation starts again."""
+        """Forget everything but where odom lies on the Earth; initialisation starts again."""
+        origins = [entry.event for entry in self._entries if isinstance(entry.event, Origin)]
+        if (known := self._origin()) is not None:
+            origins.insert(0, known)
+        self._clear()
+        for origin in origins[:1]:
+            self.filter.locate(self._start, origin)
+
+    def _clear(self) -> None:
+        """Nothing has happened yet."""
         self._counts = Counter[str]()  # of times that were left, and of the fold itself
         self._left: list[_Left] = []  # until `take` has given what was not yet published
         #: The time jump that ``jump_action: hold`` does not follow; None when there is none.
@@ -192,7 +201,7 @@ class Fold:
         Args:
             record: (1,) an initialised state of a filter of the same parameters.
         """
-        self.reset()
+        self._clear()
         self._start[0] = record[0]
         for name in COUNTERS:
             self._start[name] = 0
@@ -300,20 +309,24 @@ class Fold:
             self._suspects.popleft()
 
     def _leave(self, jump: TimeJump) -> None:
-        """Put the present time aside and begin an empty one; where odom lies stays known.
-
-        Not where only a state of another run says so: that run was elsewhere, too.
-        """
+        """Put the present time aside and begin an empty one; where odom lies stays known."""
         result = FoldResult(self.filter, self.states, self.updates, self._state_counts(), {})
         stamps_ns = self._stamps[: self._count]
         self._left.append(_Left(jump, result, stamps_ns, self._unpublished, self._published_ns))
         self._counts.update(result.counts)
         self._counts["time_jumps"] += 1
-        last, is_known = self._states[self._count - 1], not self._only_resumed
+        origin = self._origin()
         self._begin()
-        if is_known:
-            for name in ("lat_0", "lon_0", "h_0"):
-                self._start[name] = last[name]
+        if origin is not None:
+            self.filter.locate(self._start, origin)
+
+    def _origin(self) -> Origin | None:
+        """Where odom lies on the Earth, None while that is unknown or only of another run."""
+        self._fold()
+        s = self._states[self._count - 1] if self._count else self._start[0]
+        if self._only_resumed or np.isnan(s["lat_0"]):
+            return None
+        return Origin(int(s["time_ns"]), float(s["lat_0"]), float(s["lon_0"]), float(s["h_0"]))
 
     @property
     def left(self) -> "list[FoldResult]":

@@ -253,6 +253,18 @@ def test_reset_forgets_the_state_of_the_other_run(content: bytes) -> None:
     assert rest(fold, 1, 3) == [None, None]
 
 
+def test_reset_keeps_the_origin_of_a_state_that_was_used(content: bytes) -> None:
+    parameters = replace(PARAMETERS, origin=OriginParameters(source="topic"))
+    for used in (True, False):
+        fold = Fold(parameters)
+        fold.resume(decode(content, Fold(PARAMETERS).filter))
+        if used:
+            rest(fold, 301, 303)
+        fold.reset()
+        rest(fold, 303, 305)
+        assert (fold.latest is not None) == used
+
+
 # ---------------------------------------------------------------- files that do not fit
 
 
