@@ -99,13 +99,14 @@ class Inputs:
             if self._parameters.process_noise.source == "message":
                 yield messages.process_noise(message, convention)
         elif topic in ("dvl/velocity", "dvl/velocity_cov"):
-            yield messages.dvl(message, convention)
+            ping = messages.dvl(message, convention)
+            yield replace(ping, R=messages.completed(ping.R, self._parameters.dvl.noise_std))
         elif topic in Q_TOPICS.values():
             yield self._stamped(messages.process_noise(message, convention), newest_ns)
         elif topic == "gps/fix":
             yield self._stamped(messages.origin(message), newest_ns)
         elif topic == "set_odometry":
-            event = messages.initial(message, convention, once=False)
+            event = self._initial(message, once=False)
             if event.stamp_ns != 0:
                 yield event
             elif newest_ns == NEVER:
@@ -113,7 +114,20 @@ class Inputs:
             else:
                 yield replace(event, stamp_ns=newest_ns)
         if topic == self.initial_topic and not self._is_initial_done(fold):
-            yield self._stamped(messages.initial(message, convention, once=True), newest_ns)
+            yield self._stamped(self._initial(message, once=True), newest_ns)
+
+    def _initial(self, message: Any, *, once: bool) -> Initial:
+        """The state of a message; what its covariances leave open the parameters say."""
+        event = messages.initial(message, self._convention, once=once)
+        sigma = self._parameters.initial
+        return replace(
+            event,
+            P_v=messages.completed(event.P_v, [sigma.velocity_std] * 3),
+            P_psi=messages.completed(
+                event.P_psi, [sigma.tilt_std, sigma.tilt_std, sigma.heading_std]
+            ),
+            P_p=messages.completed(event.P_p, [sigma.position_std] * 3),
+        )
 
     def _is_initial_done(self, fold: Fold) -> bool:
         """Decide `initial_done`: the fold has started, and max_delay has passed since.

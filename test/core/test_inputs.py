@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from insdvl.events import NS, Event, Imu, Initial, ProcessNoise
+from insdvl.events import NS, Dvl, Event, Imu, Initial, ProcessNoise
 from insdvl.fold import Fold
 from insdvl.inputs import Inputs
 from insdvl.messages import RejectedMessage
@@ -113,6 +113,44 @@ def test_set_odometry_is_of_the_filters_own_frames(
         assert len(events(of, "set_odometry", message)) == 1
     else:
         assert refused(of, "set_odometry", message) == "wrong_frame"
+
+
+# ------------------------------------------------------------------ covariances
+
+
+def test_a_dvl_that_tells_two_variances_has_the_declared_third() -> None:
+    of = inputs(dvl__noise_std=(0.1, 0.2, 0.5))
+    covariance = np.zeros((6, 6))
+    covariance[0, 0] = covariance[1, 1] = 4.0
+    twist = Message(twist=Message(linear=xyz(1.0)), covariance=covariance.ravel())
+    (event,) = events(of, "dvl/velocity_cov", Message(header=header(NOW, ""), twist=twist))
+    assert isinstance(event, Dvl) and event.R is not None
+    np.testing.assert_allclose(event.R, np.diag([4.0, 4.0, 0.25]))
+
+
+@pytest.mark.parametrize("topic", ["set_odometry", "truth"])
+def test_what_a_planar_odometry_does_not_know_is_as_declared(topic: str) -> None:
+    """It has variances of x, y and yaw only; the tilt is not known perfectly for that."""
+    of = inputs(
+        initial__mode="topic",
+        initial__topic="truth",
+        initial__tilt_std=0.1,
+        initial__heading_std=0.2,
+        initial__position_std=5.0,
+        initial__velocity_std=0.5,
+    )
+    message = odometry()
+    message.pose.covariance = np.diag([4.0, 9.0, 0.0, 0.0, 0.0, 0.09]).ravel()
+    message.twist.covariance = np.diag([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]).ravel()
+    (event,) = events(of, topic, message)
+    assert isinstance(event, Initial)
+    for covariance, variances in (
+        (event.P_p, [9.0, 4.0, 25.0]),
+        (event.P_psi, [0.01, 0.01, 0.09]),
+        (event.P_v, [1.0, 0.25, 0.25]),
+    ):
+        assert covariance is not None
+        np.testing.assert_allclose(covariance, np.diag(variances))
 
 
 # ------------------------------------------------------------------ zero
