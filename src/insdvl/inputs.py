@@ -104,7 +104,8 @@ class Inputs:
         elif topic in Q_TOPICS.values():
             yield self._stamped(messages.process_noise(message, convention), newest_ns)
         elif topic == "gps/fix":
-            yield self._stamped(messages.origin(message), newest_ns)
+            origin = messages.origin(message, self._parameters.origin.height)
+            yield self._stamped(origin, newest_ns)
         elif topic == "set_odometry":
             event = self._initial(message, once=False)
             if event.stamp_ns != 0:

@@ -215,8 +215,12 @@ def initial(message: Any, convention: Convention, *, once: bool) -> Initial:
     )
 
 
-def origin(message: Any) -> Origin:
+def origin(message: Any, height: float) -> Origin:
     """The position of a sensor_msgs/NavSatFix.
+
+    Args:
+        message: The fix.
+        height: Where the fix has none [m]: its altitude is then NaN.
 
     Raises:
         RejectedMessage: ``bad_stamp``, ``no_data`` (status below 0), ``not_finite`` or
@@ -224,7 +228,8 @@ def origin(message: Any) -> Origin:
     """
     if message.status.status < 0:
         raise RejectedMessage("no_data", f"status is {message.status.status}")
-    fix = np.array([message.latitude, message.longitude, message.altitude], dtype=float)
+    altitude = height if math.isnan(message.altitude) else message.altitude
+    fix = np.array([message.latitude, message.longitude, altitude], dtype=float)
     if not np.isfinite(fix).all():
         raise RejectedMessage("not_finite", f"fix is {fix.tolist()}")
     if abs(fix[0]) > 90.0:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from insdvl.events import NS, Dvl, Event, Imu, Initial, ProcessNoise
+from insdvl.events import NS, Dvl, Event, Imu, Initial, Origin, ProcessNoise
 from insdvl.fold import Fold
 from insdvl.inputs import Inputs
 from insdvl.messages import RejectedMessage
@@ -115,7 +115,7 @@ def test_set_odometry_is_of_the_filters_own_frames(
         assert refused(of, "set_odometry", message) == "wrong_frame"
 
 
-# ------------------------------------------------------------------ covariances
+# ------------------------------------------------------------------ what a message leaves open
 
 
 def test_a_dvl_that_tells_two_variances_has_the_declared_third() -> None:
@@ -151,6 +151,16 @@ def test_what_a_planar_odometry_does_not_know_is_as_declared(topic: str) -> None
     ):
         assert covariance is not None
         np.testing.assert_allclose(covariance, np.diag(variances))
+
+
+def test_a_fix_without_a_height_has_the_declared_one() -> None:
+    """A 2-D fix says NaN, which is no error."""
+    of = inputs(origin__source="topic", origin__height=-5.0)
+    message = fix(NOW)
+    message.altitude = float("nan")
+    (event,) = events(of, "gps/fix", message)
+    assert isinstance(event, Origin)
+    assert (event.lat, event.lon, event.h) == (np.radians(32.0), np.radians(34.0), -5.0)
 
 
 # ------------------------------------------------------------------ zero

@@ -351,7 +351,7 @@ class TestInitial:
 
 class TestOrigin:
     def test_radians_and_metres(self):
-        event = messages.origin(fix_message())
+        event = messages.origin(fix_message(), 9.0)
         assert (event.lat, event.lon, event.h) == (np.radians(32.0), np.radians(34.0), -5.0)
 
     @pytest.mark.parametrize(
@@ -359,10 +359,12 @@ class TestOrigin:
         [
             ({"status": -1}, "no_data"),
             ({"latitude": NAN}, "not_finite"),
+            ({"longitude": NAN}, "not_finite"),
             ({"altitude": INF}, "not_finite"),
+            ({"altitude": -INF}, "not_finite"),
             ({"latitude": 90.1}, "out_of_range"),
             ({"latitude": -91.0}, "out_of_range"),
         ],
     )
     def test_refused(self, changes, reason):
-        assert reason_of(messages.origin, fix_message(**changes)) == reason
+        assert reason_of(messages.origin, fix_message(**changes), 9.0) == reason
