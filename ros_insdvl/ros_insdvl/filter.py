@@ -46,12 +46,17 @@ COMMANDS = ("set_odometry", *Q_TOPICS.values())
 
 
 def compile_kernels(parameters: FilterParameters) -> None:
-    """Run a filter for a moment, so that no message ever waits for a compilation."""
+    """Run a filter for a moment, so that no message ever waits for a compilation.
+
+    Its measurements come between two samples, as those of a sensor do, and its channels freeze.
+    """
     fold = Fold(
         replace(
             parameters,
             initial=replace(parameters.initial, mode="parameters"),
             origin=replace(parameters.origin, source="parameters"),
+            imu=replace(parameters.imu, frozen_samples=2),
+            gate=replace(parameters.gate, enabled=False),
             output_delay=0.0,
         )
     )
@@ -60,7 +65,10 @@ def compile_kernels(parameters: FilterParameters) -> None:
     events: list[Event] = [
         ImuSample(k * step, np.array([0.0, 0.0, -9.8]), np.zeros(3)) for k in range(1, 5)
     ]
-    events += [ProcessNoise(2 * step, np.eye(3), np.eye(3)), Dvl(3 * step, np.full(3, 0.01))]
+    events += [
+        ProcessNoise(2 * step - step // 2, np.eye(3), np.eye(3)),
+        Dvl(3 * step - step // 2, np.full(3, 0.01)),
+    ]
     for event in events:
         fold.add(event)
         check.add(event)
@@ -130,7 +138,7 @@ class FilterNode(InsdvlNode[FilterParameters]):
 
     def _receive(self, topic: str, message: Any) -> None:
         try:
-            for event in self._inputs.events(topic, message, self._fold.newest_ns):
+            for event in self._inputs.events(topic, message, self._fold):
                 refusal = self._fold.add(event)
                 if refusal is not None:
                     self.reject(topic, refusal, f"{refusal}: stamp {event.stamp_ns} ns")
@@ -207,7 +215,7 @@ class FilterNode(InsdvlNode[FilterParameters]):
         self._begin_time()
         if self._state_file is not None:
             self._state_file.remove()
-        self.get_logger().info("reset: the filter is uninitialised")
+        self.get_logger().info("reset: the filter is uninitialised; odom's origin stays as it is")
         response.success = True
         response.message = f"uninitialised; initial.mode is {self.parameters.initial.mode}"
         return response

@@ -153,10 +153,19 @@ class Fold:
         self._near_ns = max(self._max_delay_ns, max_gap_ns)  # samples as near are of one time
         self._run_gap_ns = max(RUN_GAP_NS, max_gap_ns)
         self._capacity = capacity
-        self.reset()
+        self._clear()
 
     def reset(self) -> None:
-        """Forget everything; initialisation starts again."""
+        """Forget everything but where odom lies on the Earth; initialisation starts again."""
+        origins = [entry.event for entry in self._entries if isinstance(entry.event, Origin)]
+        if (known := self._origin()) is not None:
+            origins.insert(0, known)
+        self._clear()
+        for origin in origins[:1]:
+            self.filter.locate(self._start, origin)
+
+    def _clear(self) -> None:
+        """Nothing has happened yet."""
         self._counts = Counter[str]()  # of times that were left, and of the fold itself
         self._left: list[_Left] = []  # until `take` has given what was not yet published
         #: The time jump that ``jump_action: hold`` does not follow; None when there is none.
@@ -192,7 +201,7 @@ class Fold:
         Args:
             record: (1,) an initialised state of a filter of the same parameters.
         """
-        self.reset()
+        self._clear()
         self._start[0] = record[0]
         for name in COUNTERS:
             self._start[name] = 0
@@ -221,7 +230,7 @@ class Fold:
         if reason is not None:
             return reason
         if self._count:
-            ahead_ns = event.stamp_ns - self.newest_ns
+            ahead_ns = event.stamp_ns - self._last_ns
             if ahead_ns < -self._max_delay_ns:
                 return self._suspect(event, "too_late")
             if ahead_ns > self._limit_ns(event):
@@ -246,7 +255,7 @@ class Fold:
 
     def _suspect(self, event: Event, reason: str) -> str | None:
         """Keep an event of another time, and follow there when the samples have gone there."""
-        newest_ns, stamp_ns = self.newest_ns, event.stamp_ns
+        newest_ns, stamp_ns = self._last_ns, event.stamp_ns
         self._suspects.append((newest_ns, event))
         if not isinstance(event, Imu) or abs(stamp_ns - newest_ns) <= self._near_ns:
             return reason
@@ -259,28 +268,35 @@ class Fold:
         if run.count < (GAP_SAMPLES if is_gap else JUMP_SAMPLES):
             return reason
         candidates = [suspect for _, suspect in self._suspects]
+        # Behind the state of another run these samples are the first: what waits for them is kept.
+        resumed = self._only_resumed
+        reach_ns = self._jump_limit_ns if resumed else self._max_delay_ns
         if not is_gap:
             jump = TimeJump(newest_ns, run.first_ns)
-            resumed = newest_ns == self._resumed_ns  # and no sample has followed: none to hold
             if self.parameters.jump_action == "hold" and not resumed:
                 self.held = jump
                 return reason
             # What waited for samples of the old time may belong to the new one.
             waiting = [e.event for e in self._entries if e.event.stamp_ns > newest_ns]
             self._leave(jump)
-            self._counts["given_up"] += len(waiting) - self._insert_of(run, waiting)
+            self._counts["given_up"] += len(waiting) - self._insert_of(run, waiting, reach_ns)
         self._suspects.clear()
         # The sample that completes the run has not been refused.
-        self._counts["recovered"] += self._insert_of(run, candidates) - 1
+        self._counts["recovered"] += self._insert_of(run, candidates, reach_ns) - 1
         self._confirm_present()
         return None
 
-    def _insert_of(self, run: _Run, candidates: Iterable[Event]) -> int:
-        """Insert those events that are of the run's time; returns how many are new."""
+    def _insert_of(self, run: _Run, candidates: Iterable[Event], reach_ns: int) -> int:
+        """Insert those events that are of the run's time; returns how many are new.
+
+        What is no sample may be older than the run by ``reach_ns``.
+        """
         count = 0
         for event in candidates:
-            last_ns = run.last_ns + (0 if isinstance(event, Imu) else self._limit_ns(event))
-            if run.first_ns - self._max_delay_ns <= event.stamp_ns <= last_ns:
+            is_sample = isinstance(event, Imu)
+            first_ns = run.first_ns - (self._max_delay_ns if is_sample else reach_ns)
+            last_ns = run.last_ns + (0 if is_sample else self._limit_ns(event))
+            if first_ns <= event.stamp_ns <= last_ns:
                 count += self._insert(event) is None
         return count
 
@@ -288,7 +304,7 @@ class Fold:
         """A sample of the present time was accepted: no run of suspects is one."""
         self._run = self.held = None
         # Suspects stay while stamps that arrive in another order could still make them needed.
-        oldest_ns = self.newest_ns - self._max_delay_ns
+        oldest_ns = self._last_ns - self._max_delay_ns
         while self._suspects and self._suspects[0][0] < oldest_ns:
             self._suspects.popleft()
 
@@ -299,10 +315,18 @@ class Fold:
         self._left.append(_Left(jump, result, stamps_ns, self._unpublished, self._published_ns))
         self._counts.update(result.counts)
         self._counts["time_jumps"] += 1
-        last = self._states[self._count - 1]
+        origin = self._origin()
         self._begin()
-        for name in ("lat_0", "lon_0", "h_0"):
-            self._start[name] = last[name]
+        if origin is not None:
+            self.filter.locate(self._start, origin)
+
+    def _origin(self) -> Origin | None:
+        """Where odom lies on the Earth, None while that is unknown or only of another run."""
+        self._fold()
+        s = self._states[self._count - 1] if self._count else self._start[0]
+        if self._only_resumed or np.isnan(s["lat_0"]):
+            return None
+        return Origin(int(s["time_ns"]), float(s["lat_0"]), float(s["lon_0"]), float(s["h_0"]))
 
     @property
     def left(self) -> "list[FoldResult]":
@@ -311,8 +335,18 @@ class Fold:
 
     @property
     def newest_ns(self) -> int:
-        """Stamp of the newest sample, NEVER before the first."""
+        """Stamp of the newest sample, NEVER before the first; that of another run is none."""
+        return NEVER if self._only_resumed else self._last_ns
+
+    @property
+    def _last_ns(self) -> int:
+        """Stamp of the newest state, also of that of another run; NEVER before the first."""
         return int(self._stamps[self._count - 1]) if self._count else NEVER
+
+    @property
+    def _only_resumed(self) -> bool:
+        """Whether there is but the state of another run."""
+        return self._resumed_ns != NEVER and self._last_ns == self._resumed_ns
 
     def _add_imu(self, sample: Imu) -> str | None:
         rotated = np.empty((2, 3))
@@ -426,7 +460,7 @@ class Fold:
         What is kept reaches back by max_delay, and before that by the averaging of the turn rate.
         """
         self._fold()
-        oldest_ns = self.newest_ns - self._max_delay_ns
+        oldest_ns = self._last_ns - self._max_delay_ns
         reach_ns = min(oldest_ns, self._published_ns) - self._gyro_average_ns
         drop = max(int(np.searchsorted(self._stamps[: self._count], reach_ns)) - 2, 0)
         if drop < max(self._count // 2, 1):  # the buffer is too small for the delays: double it
@@ -487,19 +521,20 @@ class Fold:
             event = entries[e].event
             if state[0]["initialised"] and not (isinstance(event, Initial) and event.once):
                 self.filter.predict_part(state, stamp_ns, f_b, w_ib_b, reading, event.stamp_ns)
-            self._apply(state, entries[e], k)
+            self._apply(state, e, k)
             e += 1
         if state[0]["initialised"]:
             self._predict(state, k, k + 1)
         else:
             self.filter.await_start(state, Imu(stamp_ns, f_b, w_ib_b), reading)
         while e < len(entries) and entries[e].event.stamp_ns == stamp_ns:
-            self._apply(state, entries[e], k)
+            self._apply(state, e, k)
             e += 1
         return e
 
-    def _apply(self, state: Records, entry: _Entry, k: int) -> None:
-        """Apply an event at the time of the state, inside or at the end of sample k's interval."""
+    def _apply(self, state: Records, e: int, k: int) -> None:
+        """Apply event e at the time of the state, inside or at the end of sample k's interval."""
+        entry = self._entries[e]
         event = entry.event
         if isinstance(event, Dvl):
             mean = np.empty(3)
@@ -510,13 +545,25 @@ class Fold:
         elif isinstance(event, ProcessNoise):
             self.filter.tell_process_noise(state, event)
         elif isinstance(event, Initial):
-            missed_ns = int(self._stamps[k]) - event.stamp_ns
-            if state[0]["imu_ns"] == NEVER and missed_ns > self._jump_limit_ns:
+            stamp_ns, waited = int(self._stamps[k]), state[0]["imu_ns"] == NEVER
+            if waited and stamp_ns - event.stamp_ns > self._jump_limit_ns:
                 state["too_old"] += 1  # nobody knows where the vehicle has gone since
+            elif waited and event.once and self._is_once_told_again(e, stamp_ns):
+                pass  # of those that waited for the first sample the newest has missed the least
             elif not (event.once and state[0]["initialised"]):
                 self.filter.initialise(state, event, event.stamp_ns, self._w_ib_b[k])
         elif isinstance(event, Origin):
             self.filter.locate(state, event)
+
+    def _is_once_told_again(self, e: int, until_ns: int) -> bool:
+        """Whether up to a stamp another initial state that applies once follows event e."""
+        for i in range(e + 1, len(self._entries)):
+            event = self._entries[i].event
+            if event.stamp_ns > until_ns:
+                break
+            if isinstance(event, Initial) and event.once:
+                return True
+        return False
 
     # ---------------------------------------------------------------- output
 
@@ -573,7 +620,7 @@ class Fold:
             outputs.append(left.jump)
         self._left.clear()
         if self._count:
-            until_ns = self.newest_ns - self._output_delay_ns
+            until_ns = self._last_ns - self._output_delay_ns
             stamps_ns = self._stamps[: self._count]
             done, self._unpublished = _split(self._unpublished, until_ns)
             first, last = _between(stamps_ns, self._published_ns, until_ns)

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 from insdvl import messages
 from insdvl.events import NS, Event, Initial
+from insdvl.fold import Fold
 from insdvl.frames import CONVENTIONS
 from insdvl.messages import RejectedMessage
 from insdvl.parameters import FilterParameters
@@ -69,24 +70,25 @@ class Inputs:
         self.reset()
 
     def reset(self) -> None:
-        """The next message of the initial topic is the first again."""
-        self._initial_until_ns: int | None = None
-        #: Whether no further message of the initial topic can be the one with the first stamp.
+        """Messages of the initial topic are taken again."""
+        #: Whether no further message of the initial topic can be the one that starts the filter.
         self.initial_done = False
+        self._initial_until_ns: int | None = None
         self._unstamped: Initial | None = None  # a set_odometry that waits for a sample's stamp
 
-    def events(self, topic: str, message: Any, newest_ns: int) -> Iterator[Event]:
+    def events(self, topic: str, message: Any, fold: Fold) -> Iterator[Event]:
         """The events of a message.
 
         Args:
             topic: One of `topics`.
             message: Of the topic's type.
-            newest_ns: Stamp of the newest IMU sample; a set_odometry without a stamp is of then.
+            fold: That takes the events, each before the next one is asked for. A set_odometry
+                without a stamp is of its newest sample.
 
         Raises:
             RejectedMessage: The message cannot be used.
         """
-        convention = self._convention
+        convention, newest_ns = self._convention, fold.newest_ns
         self._check_frame(topic, message)
         if topic == "imu/data_raw":
             sample = messages.imu(message, convention)
@@ -97,30 +99,47 @@ class Inputs:
             if self._parameters.process_noise.source == "message":
                 yield messages.process_noise(message, convention)
         elif topic in ("dvl/velocity", "dvl/velocity_cov"):
-            yield messages.dvl(message, convention)
+            ping = messages.dvl(message, convention)
+            yield replace(ping, R=messages.completed(ping.R, self._parameters.dvl.noise_std))
         elif topic in Q_TOPICS.values():
             yield self._stamped(messages.process_noise(message, convention), newest_ns)
         elif topic == "gps/fix":
-            yield self._stamped(messages.origin(message), newest_ns)
+            origin = messages.origin(message, self._parameters.origin.height)
+            yield self._stamped(origin, newest_ns)
         elif topic == "set_odometry":
-            event = messages.initial(message, convention, once=False)
+            event = self._initial(message, once=False)
             if event.stamp_ns != 0:
                 yield event
             elif newest_ns == NEVER:
                 self._unstamped = event
             else:
                 yield replace(event, stamp_ns=newest_ns)
-        if topic == self.initial_topic and not self.initial_done:
-            event = messages.initial(message, convention, once=True)
-            self._stamped(event, newest_ns)
-            # One with an earlier stamp may still come and then is the first; after max_delay none,
-            # unless the stamp is of another time than the samples.
+        if topic == self.initial_topic and not self._is_initial_done(fold):
+            yield self._stamped(self._initial(message, once=True), newest_ns)
+
+    def _initial(self, message: Any, *, once: bool) -> Initial:
+        """The state of a message; what its covariances leave open the parameters say."""
+        event = messages.initial(message, self._convention, once=once)
+        sigma = self._parameters.initial
+        return replace(
+            event,
+            P_v=messages.completed(event.P_v, [sigma.velocity_std] * 3),
+            P_psi=messages.completed(
+                event.P_psi, [sigma.tilt_std, sigma.tilt_std, sigma.heading_std]
+            ),
+            P_p=messages.completed(event.P_p, [sigma.position_std] * 3),
+        )
+
+    def _is_initial_done(self, fold: Fold) -> bool:
+        """Decide `initial_done`: the fold has started, and max_delay has passed since.
+
+        Until then one with an earlier stamp may still come, and is the first.
+        """
+        if not self.initial_done and fold.latest is not None:
             if self._initial_until_ns is None:
-                self._initial_until_ns = event.stamp_ns + self._max_delay_ns
-            now_ns = newest_ns + self._jump_limit_ns
-            self.initial_done = self._initial_until_ns < event.stamp_ns <= now_ns
-            if not self.initial_done:
-                yield event
+                self._initial_until_ns = fold.newest_ns + self._max_delay_ns
+            self.initial_done = fold.newest_ns > self._initial_until_ns
+        return self.initial_done
 
     def _stamped(self, event: _AnyEvent, newest_ns: int) -> _AnyEvent:
         """The event, unless its stamp is zero while the samples are far from zero.

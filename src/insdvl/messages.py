@@ -4,10 +4,12 @@ A message is anything with the fields of the standard type: rclpy's own, or one 
 a recording. Nodes and `insdvl replay` use the same functions, so both see the same numbers.
 
 Covariances follow REP-145: a first element of -1 says that the quantity is not measured at all,
-zeros say that its covariance is unknown.
+zeros say that its covariance is unknown. A zero on the diagonal only says so of that component:
+nothing is known perfectly, see `completed`.
 """
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -102,6 +104,18 @@ def covariance(field: Any, size: int, name: str) -> Array | None:
     if np.linalg.eigvalsh(matrix)[0] < -1e-9 * scale:
         raise RejectedMessage("bad_covariance", f"{name} has a negative eigenvalue")
     return matrix
+
+
+def completed(P: Array | None, sigmas: Sequence[float]) -> Array | None:
+    """A covariance (3, 3) whose unknown components, of variance zero, have these sigmas.
+
+    They are independent of the others. Where it is None all are unknown, which stays so.
+    """
+    if P is None or np.diagonal(P).all():
+        return P
+    unknown = np.diagonal(P) == 0.0
+    known = np.where(unknown[:, None] | unknown, 0.0, P)
+    return known + np.diag(np.where(unknown, np.square(sigmas), 0.0))
 
 
 def _not_measured(field: Any) -> bool:
@@ -201,8 +215,12 @@ def initial(message: Any, convention: Convention, *, once: bool) -> Initial:
     )
 
 
-def origin(message: Any) -> Origin:
+def origin(message: Any, height: float) -> Origin:
     """The position of a sensor_msgs/NavSatFix.
+
+    Args:
+        message: The fix.
+        height: Where the fix has none [m]: its altitude is then NaN.
 
     Raises:
         RejectedMessage: ``bad_stamp``, ``no_data`` (status below 0), ``not_finite`` or
@@ -210,7 +228,8 @@ def origin(message: Any) -> Origin:
     """
     if message.status.status < 0:
         raise RejectedMessage("no_data", f"status is {message.status.status}")
-    fix = np.array([message.latitude, message.longitude, message.altitude], dtype=float)
+    altitude = height if math.isnan(message.altitude) else message.altitude
+    fix = np.array([message.latitude, message.longitude, altitude], dtype=float)
     if not np.isfinite(fix).all():
         raise RejectedMessage("not_finite", f"fix is {fix.tolist()}")
     if abs(fix[0]) > 90.0:

@@ -228,14 +228,14 @@ class Replayed:
 
 
 def recorded_events(
-    recording: Sequence[Raw], inputs: Inputs, newest: Callable[[], int], rejected: Counter[str]
+    recording: Sequence[Raw], inputs: Inputs, fold: Fold, rejected: Counter[str]
 ) -> Iterator[tuple[str, Event]]:
     """The filter's events in the order of their messages, each with its topic.
 
     Args:
         recording: The messages.
         inputs: Of the filter.
-        newest: Tells the newest stamp of the IMU that the filter knows.
+        fold: Of the filter; takes each event before the next one is asked for.
         rejected: Counts the messages that cannot be used, by ``topic: reason``.
 
     Raises:
@@ -250,7 +250,7 @@ def recorded_events(
         if raw.topic not in names:
             continue
         try:
-            for event in inputs.events(names[raw.topic], decode(raw).message, newest()):
+            for event in inputs.events(names[raw.topic], decode(raw).message, fold):
                 yield raw.topic, event
         except RejectedMessage as rejection:
             rejected[f"{raw.topic}: {rejection.reason}"] += 1
@@ -266,7 +266,7 @@ def fold_recording(recording: Sequence[Raw], parameters: FilterParameters) -> Re
     inputs = Inputs(parameters)
     rejected: Counter[str] = Counter()
     checks = [FrameCheck(parameters)]  # one of each part
-    for topic, event in recorded_events(recording, inputs, lambda: fold.newest_ns, rejected):
+    for topic, event in recorded_events(recording, inputs, fold, rejected):
         refusal = fold.add(event)
         if refusal is not None:
             rejected[f"{topic}: {refusal}"] += 1

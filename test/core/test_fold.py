@@ -649,6 +649,24 @@ def test_of_initials_that_apply_once_the_first_counts() -> None:
     assert fold.latest["p_n"][0] == pytest.approx(4.0, abs=0.1)
 
 
+@pytest.mark.parametrize("newest", [99.5, 100.0])
+def test_of_those_that_waited_for_the_first_sample_the_newest_counts(newest: float) -> None:
+    """The odometry runs before the IMU does: what the vehicle did since its first nobody saw."""
+    poses = [pose(k, once=True, north=k) for k in (0.0, 50.0, newest, 101.0)]
+    states = []
+    for order in (poses, poses[::-1]):
+        fold = Fold(modes("topic"))
+        for event in [*order, at(100), at(101)]:
+            fold.add(event)
+        assert fold.counts["gaps"] == 0
+        assert fold.latest["p_n"][0] == pytest.approx(newest, abs=0.1)
+        states.append(fold.latest.tobytes())
+    alone = Fold(modes("topic"))
+    for event in [poses[2], at(100), at(101)]:
+        alone.add(event)
+    assert states == [alone.latest.tobytes()] * 2
+
+
 def test_the_origin_may_come_late_and_the_first_counts() -> None:
     settings = replace(modes("parameters"), origin=OriginParameters(source="topic"))
     fold = simple(30, settings)

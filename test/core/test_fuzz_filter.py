@@ -73,7 +73,7 @@ def test_any_messages(name: str, odd: float) -> None:
     newest_ns, outputs = -1, 0
     for k, (topic, message) in enumerate(adversary.messages(inputs.topics, COUNT)):
         try:
-            for event in inputs.events(topic, message, fold.newest_ns):
+            for event in inputs.events(topic, message, fold):
                 fold.add(event)
         except RejectedMessage as rejection:
             assert rejection.reason.isidentifier()

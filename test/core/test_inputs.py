@@ -1,12 +1,14 @@
 """What becomes of a message by its topic: frames, stamps of zero, and the first initial state."""
 
+from collections.abc import Iterable
 from types import SimpleNamespace as Message
 from typing import Any
 
 import numpy as np
 import pytest
 
-from insdvl.events import NS, Event, Imu, Initial, ProcessNoise
+from insdvl.events import NS, Dvl, Event, Imu, Initial, Origin, ProcessNoise
+from insdvl.fold import Fold
 from insdvl.inputs import Inputs
 from insdvl.messages import RejectedMessage
 from insdvl.parameters import FilterParameters, build
@@ -55,8 +57,12 @@ def inputs(**values: Any) -> Inputs:
     return Inputs(build(FilterParameters, {n.replace("__", "."): v for n, v in values.items()}))
 
 
-def events(of: Inputs, topic: str, message: Any, newest_ns: int = NOW) -> list[Event]:
-    return list(of.events(topic, message, newest_ns))
+def events(
+    of: Inputs, topic: str, message: Any, newest_ns: int = NOW, *, started: bool = False
+) -> list[Event]:
+    """Those for a fold that has come so far."""
+    fold: Any = Message(newest_ns=newest_ns, latest=Message() if started else None)
+    return list(of.events(topic, message, fold))
 
 
 def refused(of: Inputs, topic: str, message: Any, newest_ns: int = NOW) -> str:
@@ -109,6 +115,54 @@ def test_set_odometry_is_of_the_filters_own_frames(
         assert refused(of, "set_odometry", message) == "wrong_frame"
 
 
+# ------------------------------------------------------------------ what a message leaves open
+
+
+def test_a_dvl_that_tells_two_variances_has_the_declared_third() -> None:
+    of = inputs(dvl__noise_std=(0.1, 0.2, 0.5))
+    covariance = np.zeros((6, 6))
+    covariance[0, 0] = covariance[1, 1] = 4.0
+    twist = Message(twist=Message(linear=xyz(1.0)), covariance=covariance.ravel())
+    (event,) = events(of, "dvl/velocity_cov", Message(header=header(NOW, ""), twist=twist))
+    assert isinstance(event, Dvl) and event.R is not None
+    np.testing.assert_allclose(event.R, np.diag([4.0, 4.0, 0.25]))
+
+
+@pytest.mark.parametrize("topic", ["set_odometry", "truth"])
+def test_what_a_planar_odometry_does_not_know_is_as_declared(topic: str) -> None:
+    """It has variances of x, y and yaw only; the tilt is not known perfectly for that."""
+    of = inputs(
+        initial__mode="topic",
+        initial__topic="truth",
+        initial__tilt_std=0.1,
+        initial__heading_std=0.2,
+        initial__position_std=5.0,
+        initial__velocity_std=0.5,
+    )
+    message = odometry()
+    message.pose.covariance = np.diag([4.0, 9.0, 0.0, 0.0, 0.0, 0.09]).ravel()
+    message.twist.covariance = np.diag([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]).ravel()
+    (event,) = events(of, topic, message)
+    assert isinstance(event, Initial)
+    for covariance, variances in (
+        (event.P_p, [9.0, 4.0, 25.0]),
+        (event.P_psi, [0.01, 0.01, 0.09]),
+        (event.P_v, [1.0, 0.25, 0.25]),
+    ):
+        assert covariance is not None
+        np.testing.assert_allclose(covariance, np.diag(variances))
+
+
+def test_a_fix_without_a_height_has_the_declared_one() -> None:
+    """A 2-D fix says NaN, which is no error."""
+    of = inputs(origin__source="topic", origin__height=-5.0)
+    message = fix(NOW)
+    message.altitude = float("nan")
+    (event,) = events(of, "gps/fix", message)
+    assert isinstance(event, Origin)
+    assert (event.lat, event.lon, event.h) == (np.radians(32.0), np.radians(34.0), -5.0)
+
+
 # ------------------------------------------------------------------ zero
 
 
@@ -149,12 +203,12 @@ def test_before_the_first_sample_it_waits_for_it() -> None:
 
 def test_the_first_of_a_topic_and_what_is_late_are_given_on() -> None:
     of = inputs(initial__mode="topic", initial__topic="truth", max_delay=1.0)
-    for stamp in (NOW, NOW - NS, NOW + NS):
-        assert len(events(of, "truth", odometry(stamp))) == 1
+    assert len(events(of, "truth", odometry(NOW))) == 1
+    for newest_ns in (NOW, NOW + NS):
+        assert len(events(of, "truth", odometry(NOW - 1), newest_ns, started=True)) == 1
     assert not of.initial_done
-    assert events(of, "truth", odometry(NOW + NS + 1)) == []
+    assert events(of, "truth", odometry(NOW - 1), NOW + NS + 1, started=True) == []
     assert of.initial_done
-    assert events(of, "truth", odometry(NOW)) == []
     of.reset()
     assert len(events(of, "truth", odometry(NOW))) == 1
 
@@ -166,3 +220,51 @@ def test_the_first_may_be_of_another_time_than_the_samples() -> None:
     for stamp in (NOW + 3600 * NS, NOW - 3600 * NS):
         assert len(events(of, "truth", odometry(stamp))) == 1
     assert not of.initial_done
+
+
+def fix(stamp_ns: int) -> Message:
+    return Message(
+        header=header(stamp_ns, ""),
+        status=Message(status=0),
+        latitude=32.0,
+        longitude=34.0,
+        altitude=0.0,
+    )
+
+
+def told(*, origin: str, samples_from: int, truth: Iterable[tuple[int, int]], fix_at: int) -> Fold:
+    """A filter that a topic starts, after four seconds.
+
+    Args:
+        origin: Where odom's origin comes from.
+        samples_from: When the samples begin [steps of 0.1 s].
+        truth: When each message of the topic comes [steps], and its stamp [ns].
+        fix_at: When the fix comes [steps].
+    """
+    of = inputs(initial__mode="topic", initial__topic="truth", origin__source=origin, max_delay=0.5)
+    fold = Fold(of._parameters)
+    arrivals: list[tuple[int, str, Any]] = [
+        (k, "imu/data_raw", imu(NOW + k * NS // 10)) for k in range(samples_from, 40)
+    ]
+    arrivals += [(k, "truth", odometry(stamp_ns)) for k, stamp_ns in truth]
+    arrivals.append((fix_at, "gps/fix", fix(NOW + fix_at * NS // 10)))
+    for _, topic, message in sorted(arrivals, key=lambda arrival: arrival[0]):
+        if topic in of.topics:
+            for event in of.events(topic, message, fold):
+                fold.add(event)
+    return fold
+
+
+IN_TIME = [(k, NOW + k * NS // 10) for k in range(30)]
+LATE_START = {
+    "the origin comes later": ("topic", 0, IN_TIME, 20),
+    "the first is too late": ("parameters", 0, [(10, NOW - 40 * NS // 10), *IN_TIME[11:]], 0),
+    "the first has no stamp": ("parameters", 3, [(0, 0), *IN_TIME[4:]], 0),
+}
+
+
+@pytest.mark.parametrize("name", LATE_START)
+def test_where_the_first_of_a_topic_starts_nothing_a_later_one_does(name: str) -> None:
+    origin, samples_from, truth, fix_at = LATE_START[name]
+    fold = told(origin=origin, samples_from=samples_from, truth=truth, fix_at=fix_at)
+    assert fold.latest is not None

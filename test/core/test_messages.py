@@ -232,6 +232,21 @@ class TestCovariance:
         np.testing.assert_array_equal(symmetric, symmetric.T)
 
 
+class TestCompleted:
+    def test_all_unknown_stays_unknown(self):
+        assert messages.completed(None, (1.0, 2.0, 3.0)) is None
+
+    def test_of_positive_variances_nothing_changes(self):
+        """Also where it is singular: two components that are the same."""
+        for P in (block_covariance()[:3, :3], np.ones((3, 3))):
+            np.testing.assert_array_equal(messages.completed(P, (1.0, 2.0, 3.0)), P)
+
+    def test_a_zero_variance_is_unknown_and_independent(self):
+        P = np.array([[4.0, 0.0, 1.0], [0.0, 0.0, 1e-12], [1.0, 1e-12, 9.0]])
+        expected = np.array([[4.0, 0.0, 1.0], [0.0, 0.25, 0.0], [1.0, 0.0, 9.0]])
+        np.testing.assert_array_equal(messages.completed(P, (7.0, 0.5, 7.0)), expected)
+
+
 class TestProcessNoise:
     def test_covariances_in_our_axes(self):
         Q = block_covariance()[:3, :3]
@@ -336,7 +351,7 @@ class TestInitial:
 
 class TestOrigin:
     def test_radians_and_metres(self):
-        event = messages.origin(fix_message())
+        event = messages.origin(fix_message(), 9.0)
         assert (event.lat, event.lon, event.h) == (np.radians(32.0), np.radians(34.0), -5.0)
 
     @pytest.mark.parametrize(
@@ -344,10 +359,12 @@ class TestOrigin:
         [
             ({"status": -1}, "no_data"),
             ({"latitude": NAN}, "not_finite"),
+            ({"longitude": NAN}, "not_finite"),
             ({"altitude": INF}, "not_finite"),
+            ({"altitude": -INF}, "not_finite"),
             ({"latitude": 90.1}, "out_of_range"),
             ({"latitude": -91.0}, "out_of_range"),
         ],
     )
     def test_refused(self, changes, reason):
-        assert reason_of(messages.origin, fix_message(**changes)) == reason
+        assert reason_of(messages.origin, fix_message(**changes), 9.0) == reason

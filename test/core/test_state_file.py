@@ -18,14 +18,14 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from insdvl import files
-from insdvl.events import NS, Dvl, Imu, Initial, ProcessNoise
+from insdvl.events import NS, Dvl, Imu, Initial, Origin, ProcessNoise
 from insdvl.fold import Fold, TimeJump
 from insdvl.odometry import Odometry, odometry
-from insdvl.parameters import FilterParameters, build
+from insdvl.parameters import FilterParameters, OriginParameters, build
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import SCENARIOS
 from insdvl.simulation.trajectories import trajectory_named
-from insdvl.state import COUNTERS
+from insdvl.state import COUNTERS, NEVER
 from insdvl.state_file import StateFile, StateFileError, decode, encode, load
 
 START_NS = 1_700_000_000 * NS
@@ -192,6 +192,50 @@ def test_a_state_of_another_time_is_left(content: bytes, action: str, first: int
         assert output.twist_covariance.tobytes() == other.twist_covariance.tobytes()
 
 
+def test_the_origin_of_a_state_of_another_time_is_not_used(content: bytes) -> None:
+    """The vehicle is at sea somewhere else: today's fix counts."""
+    parameters = replace(PARAMETERS, origin=OriginParameters(source="topic"))
+    record = decode(content, Fold(PARAMETERS).filter)
+    for origin in (None, Origin(START_NS + 40 * NS, 0.9, 0.2, 30.0)):
+        fold = Fold(parameters)
+        fold.resume(record)
+        if origin is not None:
+            fold.add(origin)
+        rest(fold, 4000, 4020)
+        if origin is None:
+            assert fold.latest is None
+        else:
+            assert fold.latest["lat_0"] == origin.lat
+
+
+@pytest.mark.parametrize("seconds", [20.0, 35.0, 45.0])
+def test_what_waits_for_the_first_sample_does_not_depend_on_a_file_that_is_not_used(
+    content: bytes, seconds: float
+) -> None:
+    """A set_odometry, then the first sample, 46 s after the file."""
+    parameters = replace(PARAMETERS, initial=replace(PARAMETERS.initial, mode="set_odometry"))
+    stamp_ns = START_NS + round((3.0 + seconds) * NS)
+    told = Initial(stamp_ns, np.eye(3), np.array([7.0, 8.0, 9.0]), np.zeros(3), "body")
+    fold, anew = Fold(parameters), Fold(parameters)
+    fold.resume(decode(content, Fold(PARAMETERS).filter))
+    for each in (fold, anew):
+        each.add(told)
+        rest(each, 4900, 4920)
+    for output, other in zip(fold.take()[1:], anew.take(), strict=True):
+        assert isinstance(output, Odometry) and isinstance(other, Odometry)
+        assert output.position.tobytes() == other.position.tobytes()
+    assert fold.latest is not None and anew.latest is not None
+    assert fold.latest["P"].tobytes() == anew.latest["P"].tobytes()
+
+
+def test_before_its_own_samples_a_filter_knows_no_newest_stamp(content: bytes) -> None:
+    """That of the file is no stamp for a set_odometry that has none."""
+    fold = resumed(content)
+    assert fold.newest_ns == NEVER
+    rest(fold, 301, 303)
+    assert fold.newest_ns == START_NS + 302 * NS // 100
+
+
 def test_a_state_within_the_limit_is_a_gap(content: bytes) -> None:
     fold = resumed(content)
     rest(fold, 3200, 3210)  # 29 s later
@@ -207,6 +251,18 @@ def test_reset_forgets_the_state_of_the_other_run(content: bytes) -> None:
     fold.reset()
     assert fold.latest is None
     assert rest(fold, 1, 3) == [None, None]
+
+
+def test_reset_keeps_the_origin_of_a_state_that_was_used(content: bytes) -> None:
+    parameters = replace(PARAMETERS, origin=OriginParameters(source="topic"))
+    for used in (True, False):
+        fold = Fold(parameters)
+        fold.resume(decode(content, Fold(PARAMETERS).filter))
+        if used:
+            rest(fold, 301, 303)
+        fold.reset()
+        rest(fold, 303, 305)
+        assert (fold.latest is not None) == used
 
 
 # ---------------------------------------------------------------- files that do not fit

@@ -216,6 +216,21 @@ def test_where_odom_lies_does_not_depend_on_the_time() -> None:
     assert [fold.latest[name] for name in ("lat_0", "lon_0", "h_0")] == [0.5, 0.6, 7.0]
 
 
+def test_where_odom_lies_stays_known_over_a_reset() -> None:
+    """Under water no other fix comes; one that still waits for its sample holds as well."""
+    settings = replace(SETTINGS, origin=OriginParameters(source="topic"))
+    for told in (0, 49, 50):
+        fold = Fold(settings)
+        assert fold.add(Origin(START + told * STEP, 0.5, 0.6, 7.0)) is None
+        feed(fold, samples(START, 50))
+        for _ in range(2):
+            fold.reset()
+            assert fold.latest is None
+        feed(fold, samples(START + 60 * STEP, 5))
+        assert [fold.latest[name] for name in ("lat_0", "lon_0", "h_0")] == [0.5, 0.6, 7.0]
+        assert fold.states["initialised"].all()
+
+
 def test_counters_go_on_through_a_jump_and_end_at_a_reset() -> None:
     fold = Fold(SETTINGS)
     gap = [*samples(START, 20), *samples(START + 50 * STEP, 20)]

@@ -34,7 +34,7 @@ from insdvl.evaluation import statistics
 from insdvl.evaluation.metrics import Track
 from insdvl.evaluation.tables import interval, number, table
 from insdvl.events import NS, Event, Imu, ProcessNoise
-from insdvl.fold import FoldResult, run
+from insdvl.fold import Fold, FoldResult, run
 from insdvl.frames import CONVENTIONS
 from insdvl.inputs import Inputs
 from insdvl.parallel import Pool, Store
@@ -47,7 +47,6 @@ from insdvl.parameters import (
     load_section,
 )
 from insdvl.replay import Injection, changes, errors_of, read, recorded_events, truth_of
-from insdvl.state import NEVER
 from insdvl.tuner.closed_form import degree_5
 from insdvl.tuner.differences import bounded
 from insdvl.tuner.models import Model
@@ -175,12 +174,10 @@ def load(path: Path, settings: Settings) -> Recording:
     rejected: Counter[str] = Counter()
     stamps: list[int] = []
     samples, others = [], []
-
-    def newest() -> int:
-        return stamps[-1] if stamps else NEVER
-
-    inputs = Inputs(settings.constant())
-    for _, event in recorded_events(messages, inputs, newest, rejected):
+    parameters = settings.constant()
+    inputs, fold = Inputs(parameters), Fold(parameters)
+    for _, event in recorded_events(messages, inputs, fold, rejected):
+        fold.add(event)
         if isinstance(event, Imu):
             stamps.append(event.stamp_ns)
             samples.append(np.concatenate([event.f_b, event.w_ib_b]))

@@ -114,7 +114,7 @@ def fly(stream: Stream, parameters: FilterParameters, tuner: Tuner | None = None
         if topic not in inputs.topics:
             continue
         try:
-            for event in inputs.events(topic, message, fold.newest_ns):
+            for event in inputs.events(topic, message, fold):
                 refusal = fold.add(event)
                 if refusal is not None:
                     refused[f"{topic}: {refusal}"] += 1

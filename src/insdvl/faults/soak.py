@@ -199,7 +199,7 @@ def _taken(arrival: Arrival, fold: Fold, inputs: Inputs, tuner: Tuner) -> list[A
 
 
 def _give(arrival: Arrival, fold: Fold, inputs: Inputs) -> None:
-    for event in inputs.events(arrival.topic, arrival.message, fold.newest_ns):
+    for event in inputs.events(arrival.topic, arrival.message, fold):
         fold.add(event)
 
 
