@@ -132,10 +132,12 @@ def test_without_recorded_process_noise_the_tuner_learns_it(bag: Path, mission: 
 
 
 def test_the_first_message_of_the_topic_initialises(bag: Path, mission: Mission) -> None:
+    """Of the one before the first sample and the one at its stamp, the latter."""
     parameters = filter_parameters(initial__mode="topic")
     replayed = fold_recording(read(bag, REPLAY), parameters)
-    C, v_n = mission.initial.C_n_b[0], mission.initial.v_n[0]
-    start = Initial(START_NS, C, mission.initial.p_n[0], C.T @ v_n, "body")
+    C, v_n = mission.truth.C_n_b[0], mission.truth.v_n[0]
+    start_ns = int(mission.stamps_ns[0])
+    start = Initial(start_ns, C, mission.truth.p_n[0], C.T @ v_n, "body")
     events = [*dvl_events(mission), start]
     direct = run(parameters, mission.stamps_ns, mission.f_b, mission.w_ib_b, events)
     # A quaternion is between the two, so they agree to rounding only.
