@@ -27,7 +27,7 @@ from sensor_msgs.msg import Imu
 from insdvl.evaluation.tables import number as shown
 from insdvl.events import NS
 from insdvl.faults import page, soak
-from insdvl.faults.verdicts import Verdict, lost, verdicts
+from insdvl.faults.verdicts import STOLEN, Verdict, lost, verdicts
 from insdvl.files import check_writable, json_text, write
 from insdvl.parallel import environment
 from insdvl.parameters import FilterParameters, build
@@ -62,6 +62,7 @@ FIRST_FACTOR, STEP, LAST_FACTOR = 4.0, 1.25, 40.0
 TRIAL_TIME = 30.0  # s of the wall
 HELD = 0.97
 LATENCY = 100.0  # ms
+DISTURBED = 3  # hours in a row that the host of a virtual machine may spoil
 LOOK_PERIOD = 2.0  # s of the wall between two looks at the memory
 PARTS = 6  # of a leg, for the drift within it
 
@@ -159,7 +160,7 @@ class Graph:
         """
         witness, recorder = self.witness, self.recorder
         recorder.clear()
-        before = self._counts()
+        before, processors = self._counts(), soak.processor_time()
         begin = time.monotonic()
         name = f"simulator {number}"
         self.processes.start(
@@ -187,6 +188,7 @@ class Graph:
         sent = sent_by(self.processes.text(name))
         witness.settle(self._counts)
         counts = {key: count - before[key] for key, count in self._counts().items()}
+        whole, stolen = np.subtract(soak.processor_time(), processors)
         self.legs += 1
         return {
             "leg": number,
@@ -194,6 +196,7 @@ class Graph:
             "rate_factor": self.rate_factor,
             "held": recorder.speed() / self.rate_factor,
             "wall": round(time.monotonic() - begin, 1),
+            "stolen": float(stolen / whole),
             "life_of_filter": round(time.monotonic() - self.began, 1),
             "legs_of_filter": self.legs,
             "messages": self._messages(sent, counts),
@@ -322,33 +325,41 @@ def add_legs(
     """Add legs to the document, and keep each.
 
     Where the speed was searched for, one at which a leg loses something is one more trial that
-    failed, and the next leg is a step slower.
+    failed, and the next leg is a step slower; but not where the host had taken the machine away.
 
     Raises:
-        HarnessError: No speed is left, or a process died.
+        HarnessError: No speed is left, the host takes too much, or a process died.
     """
-    done = 0
+    done = disturbed = 0
     while done < count:
         rate_factor = document["rate_factor"]
         if document["search"] and rate_factor < FIRST_FACTOR:
             raise HarnessError(f"messages are lost at {FIRST_FACTOR:g} times real time already")
         with graph(rate_factor) as flown:
-            too_fast = False
-            while done < count and not too_fast:
+            failed = False
+            while done < count and not failed:
                 leg = flown.fly(len(document["legs"]), duration)
-                too_fast = bool(document["search"]) and lost(leg) > 0
-                if too_fast:
+                failed = bool(document["search"]) and lost(leg) > 0
+                disturbed = disturbed + 1 if failed and leg["stolen"] > STOLEN else 0
+                if failed:
                     document["search"].append(_trial(leg))
-                    document["rate_factor"] = round(rate_factor / STEP, 1)
+                    if not disturbed:
+                        document["rate_factor"] = round(rate_factor / STEP, 1)
                 else:
                     document["legs"].append(leg)
                     done += 1
                 keep()
                 print(
                     f"leg {leg['leg'] + 1}: {rate_factor:g} times real time, {leg['wall']:.0f} s, "
-                    f"lost {lost(leg)}, NIS {shown(leg['nis'], 3)}",
+                    f"lost {lost(leg)}, NIS {shown(leg['nis'], 3)}, the host took "
+                    f"{100.0 * leg['stolen']:.1f} % of the processors",
                     flush=True,
                 )
+        if disturbed == DISTURBED:
+            raise HarnessError(
+                f"{DISTURBED} hours in a row lost messages while the host took more than "
+                f"{100.0 * STOLEN:g} % of the processors: use a quieter machine"
+            )
 
 
 def _trial(leg: dict[str, Any]) -> dict[str, Any]:
@@ -359,6 +370,7 @@ def _trial(leg: dict[str, Any]) -> dict[str, Any]:
         "held": leg["held"],
         "lost": lost(leg),
         "latency": leg["latency"][-1]["p50"],
+        "stolen": leg["stolen"],
     }
 
 

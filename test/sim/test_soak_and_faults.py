@@ -140,6 +140,7 @@ class Flown:
             "rate_factor": rate_factor,
             "held": numbers.get("held", 1.0),
             "wall": duration / rate_factor,
+            "stolen": numbers.get("stolen", 0.0),
             "legs_of_filter": self._legs,
             "messages": [{"sent": 1000, "received": 1000 - numbers.get("lost", 0)}],
             "memory": {name: {"end": size, "slope": 0.0} for name in ("filter", "tuner")},
@@ -224,12 +225,43 @@ def test_a_speed_that_loses_something_in_an_hour_is_left(
         "held": 1.0,
         "lost": 3,
         "latency": 10.0,
+        "stolen": 0.0,
     }
     # The hour is flown again, by another filter, and is in the file once.
     hours = [(number, speed) for number, duration, speed in flown.missions if duration == 3600.0]
     assert hours == [(0, 15.2), (1, 15.2), (1, 12.2), (2, 12.2)]
     found = [(leg["leg"], leg["rate_factor"], leg["legs_of_filter"]) for leg in document["legs"]]
     assert found == [(0, 15.2, 1), (1, 12.2, 1), (2, 12.2, 2)]
+
+
+def test_an_hour_that_the_host_spoilt_is_flown_again_at_its_speed(
+    tmp_path: Path, fly: Callable[..., Flown]
+) -> None:
+    losses = iter([0] * 4 + [3, 0])  # of the trials, then of the hours
+    stolen = iter([0.0] * 4 + [0.2, 0.2])
+    flown = fly(
+        lost=lambda speed: next(losses),
+        stolen=lambda speed: next(stolen),
+        held=lambda speed: float(speed < TOO_FAST),
+    )
+    assert add(tmp_path, "--hours", "1") == 0
+    assert [(number, speed) for number, _, speed in flown.missions[4:]] == [(0, 6.2), (0, 6.2)]
+    document = recorded(tmp_path)
+    assert document["search"][-1]["stolen"] == 0.2
+    assert document["rate_factor"] == 6.2
+    assert [leg["leg"] for leg in document["legs"]] == [0]
+
+
+def test_a_host_that_never_lets_go_is_told(tmp_path: Path, fly: Callable[..., Flown]) -> None:
+    losses = iter([0] * 4 + [1] * soak.DISTURBED)
+    flown = fly(
+        lost=lambda speed: next(losses),
+        stolen=lambda speed: 0.2,
+        held=lambda speed: float(speed < TOO_FAST),
+    )
+    with pytest.raises(HarnessError, match="host took more than 5 % of the processors"):
+        add(tmp_path)
+    assert len(flown.missions) == 4 + soak.DISTURBED
 
 
 def test_below_the_first_speed_there_is_none(tmp_path: Path, fly: Callable[..., Flown]) -> None:

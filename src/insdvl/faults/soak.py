@@ -210,6 +210,12 @@ def _arrivals(mission: Mission) -> Iterator[Arrival]:
     )
 
 
+def processor_time() -> tuple[int, int]:
+    """Of all processors since the machine's start [ticks]: the whole, and what its host took."""
+    ticks = [int(n) for n in Path("/proc/stat").read_text(encoding="ascii").split()[1:9]]
+    return sum(ticks), ticks[7]  # steal, proc(5)
+
+
 def memory(pid: int) -> float:
     """Resident memory of a process [MB]."""
     pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])

@@ -15,6 +15,9 @@ LATENCY_FACTOR, LATENCY_RISE = 2.0, 10.0  # -, ms
 #: Of numbers near 1: each of 10^7 steps rounds by 2^-52, all of them in the same direction.
 ROUNDING = 1e7 * 2.0**-52
 
+#: Share of the processors' time that the host of a virtual machine may take: with more of it a loss
+#: tells of the host.
+STOLEN = 0.05
 #: Processes whose memory is judged.
 PROCESSES = ("filter", "tuner")
 #: Of each number of `soak.Health`: which is the worst of many.
