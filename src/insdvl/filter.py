@@ -535,7 +535,7 @@ class Filter:
         bias = self.C_b_i @ self._body_axes(self.parameters.initial.accelerometer_bias)
         f_b = s["level_f"] / s["level_count"] - bias
         g = gravity(s["lat_0"], s["h_0"])
-        if abs(np.linalg.norm(f_b) - g) > LEVEL_TOLERANCE * g:
+        if abs(np.hypot.reduce(f_b) - g) > LEVEL_TOLERANCE * g:  # cannot overflow
             self._level_again(s)
             return
         roll = np.arctan2(-f_b[1], -f_b[2])

@@ -97,7 +97,8 @@ def test_sigma_that_does_not_tell_the_error_is_not_met() -> None:
     assert met(2.9, 1000)
     assert met(4.9, 100)  # 3 % of the three axes
     assert not met(4.9, 200)
-    assert not met(5.1, 1)
+    assert met(5.9, 1)
+    assert not met(6.1, 1)
 
 
 def test_measurements_used_are_counted_within_the_fault() -> None:
