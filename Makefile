@@ -2,7 +2,7 @@
 # make test         sets up, then runs the tests; ARGS="-k filter"
 # make test-jazzy   the tests with the library versions of a full ROS 2 Jazzy; needs a Python 3.12
 # make results      computes docs/results.md again: about an hour; ARGS="--recordings DIR --config FILE"
-# make faults       flies the fault matrix of docs/reliability.md again: about 20 minutes
+# make faults       flies the fault matrix of docs/reliability.md again: about half an hour
 # make soak         adds an hour of mission to the soak there; ARGS="--hours 2"
 # make clean        removes what the set-up and the builds made
 # PYTHON=python3.11 names the interpreter for a first set-up.

@@ -52,7 +52,7 @@ What may happen to messages, clocks, processes and networks, what is expected of
 and what was seen. The page is written by two commands from what they measure:
 
 ```
-make faults                        # the fault matrix: about 20 minutes on two cores
+make faults                        # the fault matrix: about half an hour on two cores
 make soak                          # one more hour of mission; ARGS="--hours 2" for two
 make soak ARGS="--hours 0 --core-hours 10 --steps 10"   # the core alone
 ```
