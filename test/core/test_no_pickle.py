@@ -173,7 +173,7 @@ def test_a_run_opens_no_file_that_holds_a_pickle(program: Path, tmp_path: Path) 
 
 
 INTERRUPTED = """
-import os, time
+import os, signal, time
 import numpy as np
 from insdvl import parallel
 
@@ -182,6 +182,7 @@ def sleep(shared, task):
     time.sleep(600)
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in a background job
     with parallel.pool(parallel.Workers("loky", 2)) as pool:
         pool.run(sleep, {f"{k}": k for k in range(9)}, np.zeros(1_000_000))
 """
