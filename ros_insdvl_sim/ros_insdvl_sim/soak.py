@@ -6,7 +6,6 @@ call adds legs to what is there. A leg that was interrupted is not in the file, 
 """
 
 import argparse
-import math
 import os
 import sys
 import tempfile
@@ -28,7 +27,7 @@ from insdvl.evaluation.tables import number as shown
 from insdvl.events import NS
 from insdvl.faults import page, soak
 from insdvl.faults.verdicts import STOLEN, Verdict, lost, verdicts
-from insdvl.files import check_writable, json_text, write
+from insdvl.files import check_writable, finite, json_text, write
 from insdvl.parallel import environment
 from insdvl.parameters import FilterParameters, build
 from ros_insdvl_sim.harness import (
@@ -398,7 +397,7 @@ def run(options: argparse.Namespace) -> int:
     if options.core_hours:
         document["core"] = []
         for number, hour in enumerate(soak.run(options.core_hours, options.leg)):
-            document["core"].append(_finite(asdict(hour)) | {"hour": number})
+            document["core"].append(finite(asdict(hour)) | {"hour": number})
             print(f"core, hour {number + 1}: {hour.seconds:.1f} s", flush=True)
             keep()
     if options.steps:
@@ -406,7 +405,7 @@ def run(options: argparse.Namespace) -> int:
         for name, values in soak.STEPPED.items():
             parameters = build(FilterParameters, values)
             health = soak.steps(parameters, options.steps, seed=1)
-            document["steps"][name] = [_finite(asdict(million)) for million in health]
+            document["steps"][name] = [finite(asdict(million)) for million in health]
             print(f"{options.steps} million steps, {name}", flush=True)
     keep()
     if options.hours:
@@ -417,13 +416,6 @@ def run(options: argparse.Namespace) -> int:
             keep()
         add_legs(document, options.hours, options.leg, keep)
     return _told(verdicts(document))
-
-
-def _finite(value: Any) -> Any:
-    """A number, or numbers by their names, with None for those that JSON does not know."""
-    if isinstance(value, dict):
-        return {name: _finite(item) for name, item in value.items()}
-    return value if math.isfinite(value) else None
 
 
 def _told(judged: list[Verdict]) -> int:

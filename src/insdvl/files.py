@@ -3,6 +3,7 @@
 import errno
 import io
 import json
+import math
 import os
 import stat
 import tempfile
@@ -182,6 +183,13 @@ def json_text(document: Mapping[str, Any]) -> str:
         ValueError: There is a nan or an infinity in it.
     """
     return json.dumps(document, indent=2, allow_nan=False) + "\n"
+
+
+def finite(value: Any) -> Any:
+    """A value, or values by their names, with None for a float that JSON does not know."""
+    if isinstance(value, dict):
+        return {name: finite(item) for name, item in value.items()}
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def check_writable(path: Path, option: str) -> None:

@@ -223,9 +223,6 @@ def _advance(
     if in_doubt:
         _replace_frozen(s, w, c, f_hat, w_hat)
     strapdown.mechanise(s, w, c, f_hat, w_hat, dt)
-    forgotten = np.exp(-c.bias_rate * dt)
-    for i in range(3):
-        s.b_d[i] *= forgotten
 
     # Densities of the input noise; in a gap, of the motion that was not seen as well: a constant
     # error of one sigma over the gap T grows to (sigma T)^2, as a density sigma^2 T does.
@@ -248,6 +245,8 @@ def _advance(
 
     error_state.dynamics(w, c)
     error_state.discretise(w, c, dt)
+    for i in range(s.P.shape[0] - DVL_ERROR.start):
+        s.b_d[i] *= w.Phi[DVL_ERROR.start + i, DVL_ERROR.start + i]
     if s.Q_x.shape[0] > 0:
         w.Q_d[:] = 0.0  # Q_x fills elements that input_noise leaves alone
     error_state.input_noise(s, w, c, Q_f, Q_w, dt)
@@ -466,9 +465,8 @@ class Filter:
 
         P = np.zeros((self.n, self.n))
         P[VELOCITY, VELOCITY] = _or_isotropic(initial.P_v, parameters.velocity_std)
-        tilt, heading = parameters.tilt_std, parameters.heading_std
         P[ATTITUDE, ATTITUDE] = (
-            np.diag([tilt**2, tilt**2, heading**2]) if initial.P_psi is None else initial.P_psi
+            np.diag(np.square(parameters.attitude_std)) if initial.P_psi is None else initial.P_psi
         )
         P[ACCELEROMETER_BIAS, ACCELEROMETER_BIAS] = np.eye(3) * parameters.accelerometer_bias_std**2
         P[GYROSCOPE_BIAS, GYROSCOPE_BIAS] = np.eye(3) * parameters.gyroscope_bias_std**2

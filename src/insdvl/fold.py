@@ -321,9 +321,8 @@ class Fold:
             self.filter.locate(self._start, origin)
 
     def _origin(self) -> Origin | None:
-        """Where odom lies on the Earth, None while that is unknown or only of another run."""
-        self._fold()
-        s = self._states[self._count - 1] if self._count else self._start[0]
+        """Where odom lies on the Earth, None while no valid state of this run knows."""
+        s = self._states[self._stale - 1] if self._stale else self._start[0]
         if self._only_resumed or np.isnan(s["lat_0"]):
             return None
         return Origin(int(s["time_ns"]), float(s["lat_0"]), float(s["lon_0"]), float(s["h_0"]))

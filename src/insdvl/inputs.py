@@ -124,9 +124,7 @@ class Inputs:
         return replace(
             event,
             P_v=messages.completed(event.P_v, [sigma.velocity_std] * 3),
-            P_psi=messages.completed(
-                event.P_psi, [sigma.tilt_std, sigma.tilt_std, sigma.heading_std]
-            ),
+            P_psi=messages.completed(event.P_psi, sigma.attitude_std),
             P_p=messages.completed(event.P_p, [sigma.position_std] * 3),
         )
 

@@ -531,6 +531,11 @@ class InitialParameters:
     gyroscope_bias_std: float = parameter(1e-5, "One sigma of each axis.", unit="rad/s", low=0.0)
     position_std: float = parameter(0.1, "One sigma of each axis.", unit="m", low=0.0)
 
+    @property
+    def attitude_std(self) -> tuple[float, float, float]:
+        """One sigma of the turns about north, east and down [rad]."""
+        return self.tilt_std, self.tilt_std, self.heading_std
+
     def __post_init__(self) -> None:
         if not _TOPIC.fullmatch(self.topic) or self.topic.lstrip("/") in _NO_INITIAL_TOPIC:
             raise ParameterError(

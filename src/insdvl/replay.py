@@ -27,7 +27,7 @@ from insdvl.evaluation.metrics import (
     scores,
 )
 from insdvl.events import NS, Event
-from insdvl.files import check_writable, json_text, write
+from insdvl.files import check_writable, finite, json_text, write
 from insdvl.fold import AppliedUpdate, Fold, FoldResult
 from insdvl.frames import CONVENTIONS, NED
 from insdvl.inputs import Q_TOPICS, Inputs
@@ -369,7 +369,7 @@ def errors_of(
         "tilt_rmse_deg": errors.tilt_rmse_deg,
         "body_velocity_inside_3_sigma": inside_fraction(truth.v_b - track.v_b, sigma),
     }
-    return {name: _finite(value) for name, value in result.items()}
+    return {name: finite(value) for name, value in result.items()}
 
 
 def report(recording: Sequence[Raw], replayed: Replayed) -> dict[str, Any]:
@@ -404,11 +404,6 @@ def report(recording: Sequence[Raw], replayed: Replayed) -> dict[str, Any]:
         "rejected": dict(replayed.rejected),
         "frames": replayed.findings,
     }
-
-
-def _finite(value: Any) -> Any:
-    """JSON knows no nan."""
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 # ---------------------------------------------------------------- files

@@ -400,22 +400,30 @@ def test_numbers_that_no_page_can_be_made_of_are_named(
         reader.read(tmp_path)
 
 
-@pytest.mark.parametrize("name", PAGES)
-def test_numbers_that_were_cut_are_named(name: str, tmp_path: Path) -> None:
-    reader = READERS[name]
-    path = reader.good(tmp_path)
+def cut(path: Path) -> None:
     os.truncate(path, path.stat().st_size // 2)
-    with pytest.raises(ValueError, match=f"{path} is no JSON"):
-        reader.read(tmp_path)
 
 
-@pytest.mark.parametrize("name", PAGES)
-def test_numbers_that_cannot_be_read_are_named(name: str, tmp_path: Path) -> None:
-    reader = READERS[name]
-    path = reader.good(tmp_path)
+def made_a_pipe(path: Path) -> None:
     path.unlink()
     os.mkfifo(path)
-    with pytest.raises(ValueError, match=f"^cannot read {path}: it is no regular file$"):
+
+
+@pytest.mark.parametrize("name", PAGES)
+@pytest.mark.parametrize(
+    ("damaged", "expected"),
+    [
+        (cut, "{path} is no JSON"),
+        (made_a_pipe, "^cannot read {path}: it is no regular file$"),
+    ],
+)
+def test_numbers_that_are_not_whole_are_named(
+    name: str, damaged: Callable[[Path], None], expected: str, tmp_path: Path
+) -> None:
+    reader = READERS[name]
+    path = reader.good(tmp_path)
+    damaged(path)
+    with pytest.raises(ValueError, match=expected.format(path=path)):
         reader.read(tmp_path)
 
 

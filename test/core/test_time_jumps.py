@@ -231,6 +231,22 @@ def test_where_odom_lies_stays_known_over_a_reset() -> None:
         assert fold.states["initialised"].all()
 
 
+def test_a_reset_needs_nothing_of_a_fold_that_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*arguments: object) -> None:
+        raise RuntimeError("a bug")
+
+    fold = Fold(replace(SETTINGS, origin=OriginParameters(source="topic")))
+    feed(fold, [Origin(START, 0.5, 0.6, 7.0), *samples(START, 50)])
+    with monkeypatch.context() as broken:
+        broken.setattr(fold.filter, "update", fail)
+        fold.add(Dvl(START + 40 * STEP, np.full(3, 0.1)))
+        with pytest.raises(RuntimeError, match="a bug"):
+            fold.take()
+        fold.reset()
+    feed(fold, samples(START + 60 * STEP, 5))
+    assert [fold.latest[name] for name in ("lat_0", "lon_0", "h_0")] == [0.5, 0.6, 7.0]
+
+
 def test_counters_go_on_through_a_jump_and_end_at_a_reset() -> None:
     fold = Fold(SETTINGS)
     gap = [*samples(START, 20), *samples(START + 50 * STEP, 20)]

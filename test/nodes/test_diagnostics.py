@@ -13,6 +13,7 @@ from insdvl.events import NS, Dvl, Imu, ProcessNoise
 from insdvl.fold import AppliedUpdate, Fold, TimeJump
 from insdvl.inputs import Inputs
 from insdvl.parameters import FilterParameters, build
+from insdvl.sample_count import ExpectedSamples
 from ros_insdvl.diagnostics import (
     ERROR,
     OF_FRAMES,
@@ -24,7 +25,7 @@ from ros_insdvl.diagnostics import (
     Status,
     View,
 )
-from ros_insdvl.filter_status import ExpectedSamples, FilterWatch
+from ros_insdvl.filter_status import FilterWatch
 
 START_NS = 1_700_000_000 * NS
 PAGE = Path(__file__).parents[2] / "docs" / "diagnostics.md"

@@ -26,6 +26,7 @@ from insdvl.evaluation.approaches import (
     unavailable,
 )
 from insdvl.evaluation.monte_carlo import METRICS, Study, evaluate_run, numbered, tuning_run
+from insdvl.files import finite
 from insdvl.parallel import Pool, Store
 
 Array = NDArray[np.float64]
@@ -144,7 +145,7 @@ def _approaches(
         searches[row] = {
             "best": best.name,
             "candidates": {
-                candidate.name: [_number(value) for value in values]
+                candidate.name: [finite(float(value)) for value in values]
                 for candidate, values in zip(candidates, errors, strict=True)
             },
         }
@@ -190,7 +191,7 @@ def summary(scores: Mapping[str, Array], rng: np.random.Generator) -> dict[str, 
         "rows": [],
         "per_run": {
             metric: {
-                row: [_number(float(f"{v:.6g}")) for v in values[:, METRICS.index(metric)]]
+                row: [finite(float(f"{v:.6g}")) for v in values[:, METRICS.index(metric)]]
                 for row, values in scores.items()
             }
             for metric in RATIO_METRICS
@@ -234,7 +235,7 @@ def summary(scores: Mapping[str, Array], rng: np.random.Generator) -> dict[str, 
             }
         lost = values[:, failure] == 1.0  # worse than any number
         medians = {
-            metric: _number(np.median(np.where(lost, np.inf, values[:, i])))
+            metric: finite(float(np.median(np.where(lost, np.inf, values[:, i]))))
             for i, metric in enumerate(METRICS[:failure])
         }
         numbers["rows"].append(
@@ -249,8 +250,3 @@ def summary(scores: Mapping[str, Array], rng: np.random.Generator) -> dict[str, 
             }
         )
     return numbers
-
-
-def _number(value: float) -> float | None:
-    """JSON knows no nan."""
-    return float(value) if np.isfinite(value) else None

@@ -114,7 +114,7 @@ def initial_of_run(mission: Mission, study: Study, split: int, run: int) -> Init
     rng = np.random.default_rng(
         np.random.SeedSequence(study.seed, spawn_key=(_INITIAL, split, run))
     )
-    psi = rng.standard_normal(3) * [sigma.tilt_std, sigma.tilt_std, sigma.heading_std]
+    psi = rng.standard_normal(3) * sigma.attitude_std
     truth = mission.initial
     C_true = truth.C_n_b[0]
     return Initial(

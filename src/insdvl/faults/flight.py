@@ -83,7 +83,7 @@ def parameters_of(
     """
     sigma, rng = InitialParameters(), np.random.default_rng([seed, 2])
     truth = mission.truth
-    psi = rng.normal(0.0, [sigma.tilt_std, sigma.tilt_std, sigma.heading_std])
+    psi = rng.normal(0.0, sigma.attitude_std)
     C_n_b = Rotation.from_rotvec(-psi).as_matrix() @ truth.C_n_b[0]
     v_b = truth.C_n_b[0].T @ truth.v_n[0] + rng.normal(0.0, sigma.velocity_std, 3)
     force, turn = sensors.variances
