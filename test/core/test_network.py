@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Sequence
+from functools import reduce
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from insdvl.simulation.trajectories import BASELINE
 from insdvl.training import dataset
 from insdvl.training.dataset import Recipe
 from insdvl.training.metrics import errors
-from insdvl.tuner import closed_form, network
+from insdvl.tuner import closed_form, network, onnx_content
 from insdvl.tuner.models import ModelError, load_model, sha256
 from insdvl.tuner.network import Network, NetworkError
 
@@ -27,11 +28,13 @@ FLOAT, DOUBLE = 1, 11
 # ONNX files by hand: the tests do without the onnx package.
 
 
-def field(number: int, value: int | str | bytes) -> bytes:
-    """A field of a protobuf message; numbers and sizes below 2^14."""
+def varint(n: int) -> bytes:
+    """A number below 2^21 as protobuf has it, in three bytes where fewer would do as well."""
+    return bytes([n % 128 + 128, n // 128 % 128 + 128, n // 16384])
 
-    def varint(n: int) -> bytes:
-        return bytes([n]) if n < 128 else bytes([n % 128 + 128, n // 128])
+
+def field(number: int, value: int | str | bytes) -> bytes:
+    """A field of a protobuf message; numbers and sizes below 2^21."""
 
     if isinstance(value, int):
         return varint(number * 8) + varint(value)
@@ -90,8 +93,9 @@ WIDE = ((FLOAT, ("M", 4)),)
         (file(outputs=((FLOAT, ("M",)),) * 2), "must have 1 input and 1 output, got 1 and 2"),
         (file(operator="Pickle"), "no network that onnxruntime can run: .*Pickle"),
         (b"", "no network that onnxruntime can run: "),
-        (b"no network", "no network that onnxruntime can run: "),
-        (file()[:-40], "no network that onnxruntime can run: "),
+        (b"no network", "no network in ONNX's form: it has a field of type 6"),
+        (file()[:-40], "no network in ONNX's form: it ends within a field"),
+        (file() + b"\x80" * 11, "no network in ONNX's form: it has a number that does not end"),
     ],
 )  # fmt: skip
 def test_a_file_of_another_form_is_refused_in_one_line(data, message):
@@ -100,13 +104,73 @@ def test_a_file_of_another_form_is_refused_in_one_line(data, message):
     assert "\n" not in str(refusal.value)
 
 
-def test_weights_in_another_file_are_refused(tmp_path, monkeypatch):
+ELSEWHERE = field(13, field(1, "location") + field(2, "weights")) + field(14, 1)
+TENSOR = field(1, 4) + field(2, FLOAT) + field(8, "w") + ELSEWHERE
+
+
+@pytest.mark.parametrize(
+    "extra",
+    [
+        field(5, TENSOR),  # an initialiser
+        field(15, field(1, TENSOR)),  # a sparse one
+        field(1, field(2, "c") + field(4, "Constant") + field(5, field(5, TENSOR))),
+        field(1, field(4, "If") + field(5, field(6, field(5, TENSOR)))),  # in a branch
+    ],
+)
+def test_weights_in_another_file_are_refused(extra, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "weights").write_bytes(np.ones(4, np.float32).tobytes())
-    elsewhere = field(1, "location") + field(2, "weights")
-    tensor = field(1, 4) + field(2, FLOAT) + field(8, "w") + field(13, elsewhere) + field(14, 1)
     with pytest.raises(NetworkError, match="must hold its weights, this one refers to other files"):
-        Network.load(file(extra=field(5, tensor)))
+        Network.load(file(extra=extra))
+
+
+@pytest.mark.parametrize("operator", ["Loop", "Scan"])
+@pytest.mark.parametrize(
+    "content",
+    [
+        lambda node: file(extra=field(1, node)),
+        lambda node: file(extra=field(1, field(4, "If") + field(5, field(6, field(1, node))))),
+        lambda node: file() + field(25, field(1, "f") + field(7, node)),  # in a function
+        lambda node: file() + field(7, field(1, node)),  # protobuf puts the two graphs together
+    ],
+)
+def test_what_need_not_end_is_refused_wherever_it_is(content, operator):
+    with pytest.raises(NetworkError, match="must have no Loop and no Scan"):
+        Network.load(content(field(1, "in0") + field(4, operator)))
+
+
+def test_names_of_loops_elsewhere_are_no_loops():
+    X = np.random.default_rng(1).standard_normal((3, 4))
+    named = field(
+        5, field(1, 4) + field(2, FLOAT) + field(8, "w") + field(9, b'"\x04Loop' + b"\0" * 10)
+    )
+    np.testing.assert_array_equal(
+        Network.load(file(extra=named + field(10, "Loop, location"))).predict(X),
+        X.max(axis=1).astype(np.float32),
+    )
+
+
+def test_onnxruntimes_own_form_is_refused():
+    """It names operators elsewhere; this begins as a file of both forms would."""
+    with pytest.raises(NetworkError, match="can run: .*protobuf parsing failed"):
+        Network.load(b"\x12\x06\0\0ORTM" + b"\0" * 200)
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (field(7, field(1, b"") * 40), "more than 30 operators and tensors"),
+        (field(1, 8) * 101, "more than 100 fields"),
+        (field(7, reduce(lambda inner, _: field(1, field(5, field(6, inner))), range(9), b"")),
+         "more than 20 levels"),
+    ],
+)  # fmt: skip
+def test_a_file_that_would_take_long_or_much_is_refused(data, message, monkeypatch):
+    monkeypatch.setattr(onnx_content, "MAX_MESSAGES", 30)
+    monkeypatch.setattr(onnx_content, "MAX_FIELDS", 100)
+    monkeypatch.setattr(onnx_content, "MAX_DEPTH", 20)
+    with pytest.raises(NetworkError, match=f"no network in ONNX's form: it has {message}"):
+        Network.load(data)
 
 
 def test_a_file_that_is_too_large_is_refused_before_it_is_read(monkeypatch):

@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from insdvl.tuner import onnx_content
+
 Array = NDArray[np.float64]
 
 MAX_BYTES = 64 * 2**20  # of a file; those that ship have a thousandth of it
 
 _FLOAT = "tensor(float)"
 _BLOCK = 8  # rows at a time: more would leave the cache
-#: The key "location" of an entry that puts a tensor's values in another file, as protobuf has it.
-_ELSEWHERE = b"\x0a\x08location"
-#: The names of operators that repeat others, as protobuf has them: they need not end.
-_LOOPS = (b"\x22\x04Loop", b"\x22\x04Scan")
+#: Operators that repeat others: they need not end.
+_LOOPS = frozenset({b"Loop", b"Scan"})
 
 
 class NetworkError(ValueError):
@@ -73,9 +73,13 @@ class Network:
         """
         if len(data) > MAX_BYTES:
             raise NetworkError(f"a network must have at most {MAX_BYTES} bytes, got {len(data)}")
-        if _ELSEWHERE in data:
+        try:
+            content = onnx_content.read(data)
+        except ValueError as error:
+            raise NetworkError(f"no network in ONNX's form: {error}") from error
+        if not content.has_all:
             raise NetworkError("a network must hold its weights, this one refers to other files")
-        if any(loop in data for loop in _LOOPS):
+        if not content.operators.isdisjoint(_LOOPS):
             raise NetworkError("a network must have no Loop and no Scan, which need not end")
         try:
             import onnxruntime
@@ -88,6 +92,8 @@ class Network:
         options.inter_op_num_threads = 1
         options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
         options.log_severity_level = 4  # what it refuses it raises as well
+        # Its own form of a file, which it would know by some bytes, is not what was checked.
+        options.add_session_config_entry("session.load_model_format", "ONNX")
         try:
             session = onnxruntime.InferenceSession(
                 data, options, providers=["CPUExecutionProvider"]
