@@ -35,7 +35,6 @@ def varint(n: int) -> bytes:
 
 def field(number: int, value: int | str | bytes) -> bytes:
     """A field of a protobuf message; numbers and sizes below 2^21."""
-
     if isinstance(value, int):
         return varint(number * 8) + varint(value)
     data = value.encode() if isinstance(value, str) else value
@@ -159,7 +158,7 @@ def test_onnxruntimes_own_form_is_refused():
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (field(7, field(1, b"") * 40), "more than 30 operators and tensors"),
+        (field(7, field(1, b"") * 40), "more than 30 operators, attributes and tensors"),
         (field(1, 8) * 101, "more than 100 fields"),
         (field(7, reduce(lambda inner, _: field(1, field(5, field(6, inner))), range(9), b"")),
          "more than 20 levels"),

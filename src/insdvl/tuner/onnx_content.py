@@ -74,7 +74,9 @@ def read(data: bytes) -> Content:
             elif number in _WITHIN[kind] and isinstance(value, memoryview):
                 messages += 1
                 if messages > MAX_MESSAGES:
-                    raise ValueError(f"it has more than {MAX_MESSAGES} operators and tensors")
+                    raise ValueError(
+                        f"it has more than {MAX_MESSAGES} operators, attributes and tensors"
+                    )
                 if len(unfinished) == MAX_DEPTH:
                     raise ValueError(f"it has more than {MAX_DEPTH} levels")
                 unfinished.append((_WITHIN[kind][number], _fields(value)))
