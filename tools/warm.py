@@ -1,7 +1,9 @@
 """Compile the hot functions of simulator, filter and tuner, so that programs start quickly."""
 
-from insdvl.fold import run
-from insdvl.parameters import FilterParameters, SimulatorParameters, TunerParameters
+from insdvl.timeline.fold import run
+from insdvl.navigation.parameters import FilterParameters
+from insdvl.simulation.parameters import SimulatorParameters
+from insdvl.tuner.parameters import TunerParameters
 from insdvl.simulation.mission import mission_of
 from insdvl.tuner.tuner import Tuner
 from ros_insdvl.filter import compile_kernels

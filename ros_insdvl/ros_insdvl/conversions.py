@@ -13,9 +13,9 @@ from nav_msgs.msg import Odometry
 from numpy.typing import ArrayLike, NDArray
 from sensor_msgs.msg import Imu
 
-from insdvl.events import NS
-from insdvl.odometry import Biases
-from insdvl.odometry import Odometry as FilterOdometry
+from insdvl.navigation.events import NS
+from insdvl.navigation.odometry import Biases
+from insdvl.navigation.odometry import Odometry as FilterOdometry
 
 Array = NDArray[np.float64]
 

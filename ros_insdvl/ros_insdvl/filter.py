@@ -17,17 +17,17 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Imu, NavSatFix
 from std_srvs.srv import Trigger
 
-from insdvl import inputs
-from insdvl.events import NS, Dvl, Event, ProcessNoise
-from insdvl.events import Imu as ImuSample
-from insdvl.fold import AppliedUpdate, Fold, TimeJump
-from insdvl.frames import CONVENTIONS
-from insdvl.inputs import Q_TOPICS, Inputs
-from insdvl.odometry import Odometry as FilterOdometry
-from insdvl.odometry import biases
-from insdvl.parameters import FilterParameters
-from insdvl.plausibility import FrameCheck
-from insdvl.state_file import StateFile
+from insdvl.messages import inputs
+from insdvl.messages.inputs import Q_TOPICS, Inputs
+from insdvl.navigation.events import NS, Dvl, Event, ProcessNoise
+from insdvl.navigation.events import Imu as ImuSample
+from insdvl.navigation.geometry.frames import CONVENTIONS
+from insdvl.navigation.odometry import Odometry as FilterOdometry
+from insdvl.navigation.odometry import biases
+from insdvl.navigation.parameters import FilterParameters
+from insdvl.timeline.fold import AppliedUpdate, Fold, TimeJump
+from insdvl.timeline.state_file import StateFile
+from insdvl.watch.alignment import FrameCheck
 from ros_insdvl.conversions import fill_bias, fill_innovation, fill_odometry
 from ros_insdvl.diagnostics import Status, View
 from ros_insdvl.filter_status import FilterWatch

@@ -5,15 +5,15 @@ from math import inf
 
 import numpy as np
 
-from insdvl.events import NS, Event, Imu
-from insdvl.fold import AppliedUpdate, Fold, TimeJump
-from insdvl.inputs import Q_TOPICS, Inputs
-from insdvl.odometry import Odometry
-from insdvl.parameters import FilterParameters
-from insdvl.plausibility import FrameCheck
-from insdvl.sample_count import ExpectedSamples
-from insdvl.state import NEVER
-from insdvl.state_file import StateFile
+from insdvl.messages.inputs import Q_TOPICS, Inputs
+from insdvl.navigation.events import NS, Event, Imu
+from insdvl.navigation.odometry import Odometry
+from insdvl.navigation.parameters import FilterParameters
+from insdvl.navigation.state import NEVER
+from insdvl.timeline.fold import AppliedUpdate, Fold, TimeJump
+from insdvl.timeline.state_file import StateFile
+from insdvl.watch.alignment import FrameCheck
+from insdvl.watch.sample_count import ExpectedSamples
 from ros_insdvl.diagnostics import ERROR, OF_FRAMES, OF_TIME, RECENT, SILENT, WARN, Status, View
 
 #: Stamps and clock that differ by more than this are not of one time: no latency is told.

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import Imu
 
-from insdvl.evaluation.metrics import rmse
-from insdvl.events import NS
-from insdvl.messages import stamp_ns
-from insdvl.parameters import parameter
+from insdvl.messages.convert import stamp_ns
+from insdvl.navigation.events import NS
+from insdvl.parameters.declaration import parameter
+from insdvl.studies.evaluation.metrics import rmse
 from ros_insdvl.diagnostics import OK
 from ros_insdvl.node import InsdvlNode, command_qos, publisher_qos, run
 

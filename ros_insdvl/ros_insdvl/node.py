@@ -29,8 +29,8 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 
-from insdvl.messages import RejectedMessage
-from insdvl.parameters import ParameterError
+from insdvl.messages.convert import RejectedMessage
+from insdvl.parameters.declaration import ParameterError
 from ros_insdvl.connections import Connections
 from ros_insdvl.diagnostics import ERROR, OK, RECENT, Recent, Status, View
 from ros_insdvl.parameters import declare

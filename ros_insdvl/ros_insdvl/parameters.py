@@ -5,14 +5,8 @@ from typing import Any, TypeVar
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 
-from insdvl.parameters import (
-    Declaration,
-    ParameterError,
-    build,
-    declarations,
-    flatten,
-    is_ros_name,
-)
+from insdvl.parameters.declaration import Declaration, ParameterError, build, declarations, flatten
+from insdvl.parameters.sections import is_ros_name
 
 _Group = TypeVar("_Group")
 

@@ -13,10 +13,11 @@ import numpy as np
 from sensor_msgs.msg import Imu
 from std_srvs.srv import SetBool
 
-from insdvl import messages
-from insdvl.frames import NED
-from insdvl.parameters import ParameterError, TunerParameters
+from insdvl.messages import convert as messages
+from insdvl.navigation.geometry.frames import NED
+from insdvl.parameters.declaration import ParameterError
 from insdvl.tuner.models import ModelError
+from insdvl.tuner.parameters import TunerParameters
 from insdvl.tuner.tuner import TunedNoise, Tuner
 from ros_insdvl.conversions import NOT_MEASURED, flat_covariance
 from ros_insdvl.diagnostics import ERROR, OF_TIME, RECENT, WARN, Status, View

@@ -31,13 +31,13 @@ from rclpy.serialization import deserialize_message, serialize_message
 from scipy.spatial.transform import Rotation
 
 from insdvl import files
-from insdvl.bags import BagWriter, Raw
-from insdvl.evaluation import plots
-from insdvl.evaluation.metrics import Scores, Track, scores
-from insdvl.events import NS
-from insdvl.frames import ENU, rpy_from_rotation
-from insdvl.parameters import FilterParameters
+from insdvl.navigation.events import NS
+from insdvl.navigation.geometry.frames import ENU, rpy_from_rotation
+from insdvl.navigation.parameters import FilterParameters
+from insdvl.recordings.bags import BagWriter, Raw
 from insdvl.simulation.trajectories import trajectory_named
+from insdvl.studies.evaluation import plots
+from insdvl.studies.evaluation.metrics import Scores, Track, scores
 from ros_insdvl.monitor import Monitor, OdometrySeries
 from ros_insdvl.node import publisher_qos, subscribe
 from ros_insdvl_sim.harness import (

@@ -12,9 +12,9 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from insdvl.faults import matrix, page, rows
 from insdvl.files import check_writable, json_text, write
-from insdvl.parallel import environment
+from insdvl.jobs.parallel import environment
+from insdvl.studies.faults import matrix, page, rows
 from ros_insdvl_sim import process_rows
 from ros_insdvl_sim.harness import guarded, isolate
 

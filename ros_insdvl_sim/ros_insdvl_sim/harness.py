@@ -25,7 +25,7 @@ from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
-from insdvl.events import NS
+from insdvl.navigation.events import NS
 from ros_insdvl.node import publisher_qos, subscribe
 
 PATIENCE = 300.0  # s of the wall that anything may take; without a cache, programs compile first

@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 from rclpy.duration import Duration
 from rosgraph_msgs.msg import Clock
 
-from insdvl.events import NS
+from insdvl.navigation.events import NS
 from ros_insdvl.conversions import time_of
 from ros_insdvl.node import InsdvlNode, Output
 

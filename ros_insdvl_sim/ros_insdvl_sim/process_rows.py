@@ -20,11 +20,11 @@ from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
 
-from insdvl.events import NS
-from insdvl.faults.flight import parameters_of
-from insdvl.faults.rows import LEVELLING
-from insdvl.faults.stream import Sensors, stream_of
-from insdvl.parameters import flatten
+from insdvl.navigation.events import NS
+from insdvl.parameters.declaration import flatten
+from insdvl.studies.faults.flight import parameters_of
+from insdvl.studies.faults.rows import LEVELLING
+from insdvl.studies.faults.stream import Sensors, stream_of
 from ros_insdvl_sim.harness import (
     DVL,
     FILTER,

@@ -12,9 +12,9 @@ from collections import Counter
 from functools import partial
 from typing import Any
 
-from insdvl import bags
-from insdvl.faults.link import links
-from insdvl.parameters import ParameterError, RelayParameters
+from insdvl.parameters.declaration import ParameterError
+from insdvl.recordings import bags
+from insdvl.studies.faults.link import RelayParameters, links
 from ros_insdvl.diagnostics import Status, View
 from ros_insdvl.node import InsdvlNode, latched_qos, run
 from ros_insdvl_sim.replay import TYPES

@@ -9,9 +9,10 @@ from geometry_msgs.msg import TwistStamped, TwistWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Imu, NavSatFix
 
-from insdvl import bags
-from insdvl.bags import BagError, BagReader
-from insdvl.parameters import ParameterError, ReplayParameters
+from insdvl.parameters.declaration import ParameterError
+from insdvl.recordings import bags
+from insdvl.recordings.bags import BagError, BagReader
+from insdvl.recordings.parameters import ReplayParameters
 from ros_insdvl.diagnostics import Status, View
 from ros_insdvl.node import latched_qos, run
 from ros_insdvl_sim.player import Player

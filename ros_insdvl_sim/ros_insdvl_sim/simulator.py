@@ -11,10 +11,11 @@ from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Imu
 
-from insdvl.events import NS
-from insdvl.frames import CONVENTIONS, quaternion_from_rotation
-from insdvl.parameters import ParameterError, SimulatorParameters
+from insdvl.navigation.events import NS
+from insdvl.navigation.geometry.frames import CONVENTIONS, quaternion_from_rotation
+from insdvl.parameters.declaration import ParameterError
 from insdvl.simulation.mission import mission_of
+from insdvl.simulation.parameters import SimulatorParameters
 from insdvl.simulation.trajectories import Truth
 from ros_insdvl.conversions import (
     NOT_MEASURED,

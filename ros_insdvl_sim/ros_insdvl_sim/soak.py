@@ -23,13 +23,14 @@ from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Imu
 
-from insdvl.evaluation.tables import number as shown
-from insdvl.events import NS
-from insdvl.faults import page, soak
-from insdvl.faults.verdicts import STOLEN, Verdict, lost, verdicts
 from insdvl.files import check_writable, finite, json_text, write
-from insdvl.parallel import environment
-from insdvl.parameters import FilterParameters, build
+from insdvl.jobs.parallel import environment
+from insdvl.navigation.events import NS
+from insdvl.navigation.parameters import FilterParameters
+from insdvl.parameters.declaration import build
+from insdvl.studies.evaluation.tables import number as shown
+from insdvl.studies.faults import page, soak
+from insdvl.studies.faults.verdicts import STOLEN, Verdict, lost, verdicts
 from ros_insdvl_sim.harness import (
     DVL,
     FILTER,

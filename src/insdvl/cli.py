@@ -9,10 +9,16 @@ from importlib.metadata import version
 #: Module of each subcommand, with add_arguments(parser) and run(arguments) -> exit code, and what
 #: it does. Only the module that is asked for is imported.
 COMMANDS = {
-    "train": ("insdvl.training.command", "learn a model of the process noise from simulations"),
-    "replay": ("insdvl.replay", "run the filter over a rosbag2 recording"),
-    "evaluate": ("insdvl.evaluation.command", "compare sources of process noise on simulations"),
-    "results": ("insdvl.evaluation.results", "compute the page of results again"),
+    "train": (
+        "insdvl.studies.training.command",
+        "learn a model of the process noise from simulations",
+    ),
+    "replay": ("insdvl.studies.replay.command", "run the filter over a rosbag2 recording"),
+    "evaluate": (
+        "insdvl.studies.evaluation.command",
+        "compare sources of process noise on simulations",
+    ),
+    "results": ("insdvl.studies.evaluation.results", "compute the page of results again"),
 }
 
 

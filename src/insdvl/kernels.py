@@ -8,10 +8,11 @@ What is in the cache is run, as what is in Python's own ``__pycache__`` is: a fo
 or may write to is not used.
 
 numba checks a cached function against its own source file only, not against the files of the
-functions that it calls. The cache folder's name therefore carries a digest of the whole package,
-the interpreter and numba.
+functions that it calls. The name of a cache folder therefore carries a digest of a source file and
+of all files that it imports, of the interpreter and of numba. An edit elsewhere compiles nothing.
 """
 
+import ast
 import contextlib
 import errno
 import hashlib
@@ -26,9 +27,11 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
-from numba.core.caching import FunctionCache
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
+
+_PACKAGE = Path(__file__).parent
 
 
 class CacheWarning(UserWarning):
@@ -50,13 +53,45 @@ def _warn_once(reason: str) -> None:
     )
 
 
-def source_digest() -> str:
-    """Digest of the package's sources, as 16 hexadecimal digits."""
+def _imported(source: Path) -> set[Path]:
+    """Files of this package that a file imports."""
+    found: set[Path] = set()
+    for node in ast.walk(ast.parse(source.read_bytes())):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+        else:
+            continue
+        for name in names:
+            package, *path = name.split(".")
+            if package != _PACKAGE.name:
+                continue
+            for file in (
+                _PACKAGE.joinpath(*path).with_suffix(".py") if path else None,
+                _PACKAGE.joinpath(*path, "__init__.py"),
+            ):
+                if file is not None and file.is_file():
+                    found.add(file)
+    return found
+
+
+@cache
+def source_digest(source: Path) -> str:
+    """Digest of a file of this package and of all that it imports, as 16 hexadecimal digits.
+
+    What the code of the file computes depends on no other file.
+    """
+    reached, waiting = {source}, [source]
+    while waiting:
+        new = _imported(waiting.pop()) - reached
+        reached |= new
+        waiting += new
     digest = hashlib.sha256()
-    package = Path(__file__).parent
-    for source in sorted(package.rglob("*.py")):
-        digest.update(source.relative_to(package).as_posix().encode())
-        digest.update(source.read_bytes())
+    for file in sorted(reached | {Path(__file__)}):
+        name = file.relative_to(_PACKAGE) if file.is_relative_to(_PACKAGE) else Path(file.name)
+        digest.update(name.as_posix().encode())
+        digest.update(hashlib.sha256(file.read_bytes()).digest())
     return digest.hexdigest()[:16]
 
 
@@ -71,14 +106,14 @@ def _user_cache_dir() -> Path | None:
 
 
 @cache
-def cache_dir() -> Path | None:
-    """Folder of the compiled functions, or None where no folder can be written."""
+def cache_dir(source: Path) -> Path | None:
+    """Folder of the compiled functions of a file, or None where no folder can be written."""
     named = os.environ.get("INSDVL_CACHE_DIR")
     candidates = [Path(named)] if named else []
     user = _user_cache_dir()
     if user is not None:
         candidates.append(user)
-    build = f"{sys.version} {numba.__version__} {source_digest()}"
+    build = f"{sys.version} {numba.__version__} {source_digest(source)}"
     name = f"kernels-{hashlib.sha256(build.encode()).hexdigest()[:16]}"
     reason = "no home folder"
     for candidate in candidates:
@@ -97,7 +132,20 @@ def cache_dir() -> Path | None:
 
 
 class _ForgivingCache(FunctionCache):
-    """numba's cache, except that a damaged or full one is a warning and not an exception."""
+    """numba's cache of one function, in a folder whose name tells which source it is of.
+
+    So neither the path of the source nor its time matters: an installation elsewhere, or again,
+    finds what was compiled before. A damaged or full cache is a warning and not an exception.
+    """
+
+    def __init__(self, function: Callable[..., Any], folder: Path) -> None:
+        super().__init__(function)
+        self._cache_path = str(folder)
+        self._cache_file = IndexDataCacheFile(
+            cache_path=self._cache_path,
+            filename_base=self._impl.filename_base,
+            source_stamp=folder.name,
+        )
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         try:
@@ -122,12 +170,12 @@ def kernel(function: _Function) -> _Function:
     Floating-point operations are never reordered, so a kernel is reproducible to the bit.
     """
     dispatcher: Any = numba.njit(error_model="numpy", nogil=True)(function)
-    folder = cache_dir()
+    folder = cache_dir(Path(function.__code__.co_filename))
     if folder is not None:
         config: Any = numba.config
         previous, config.CACHE_DIR = config.CACHE_DIR, str(folder)
         try:
-            dispatcher._cache = _ForgivingCache(function)
+            dispatcher._cache = _ForgivingCache(function, folder)
         except RuntimeError as error:  # numba found no place for this function
             _warn_once(str(error))
         finally:

@@ -14,12 +14,14 @@ import sys, warnings
 {before}
 with warnings.catch_warnings(record=True) as caught:
     warnings.simplefilter("always")
+    from pathlib import Path
     from insdvl import kernels
+    import kernel_of_test
     from kernel_of_test import add
     result = add(1.0, 2.0)
     kernels.kernel(add.py_func)  # a second function is no second warning
 print(result)
-print(kernels.cache_dir())
+print(kernels.cache_dir(Path(kernel_of_test.__file__)))
 print(sum(add.stats.cache_hits.values()))
 for warning in caught:
     if warning.category is kernels.CacheWarning:

@@ -17,8 +17,8 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, NavSatFix
 
-from insdvl.events import NS
-from insdvl.parameters import FilterParameters
+from insdvl.navigation.events import NS
+from insdvl.navigation.parameters import FilterParameters
 from ros_insdvl.node import InsdvlNode
 
 DEADLINE_NS = 60 * NS  # far beyond what any of these waits takes

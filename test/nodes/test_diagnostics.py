@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from insdvl.events import NS, Dvl, Imu, ProcessNoise
-from insdvl.fold import AppliedUpdate, Fold, TimeJump
-from insdvl.inputs import Inputs
-from insdvl.parameters import FilterParameters, build
-from insdvl.sample_count import ExpectedSamples
+from insdvl.messages.inputs import Inputs
+from insdvl.navigation.events import NS, Dvl, Imu, ProcessNoise
+from insdvl.navigation.parameters import FilterParameters
+from insdvl.parameters.declaration import build
+from insdvl.timeline.fold import AppliedUpdate, Fold, TimeJump
+from insdvl.watch.sample_count import ExpectedSamples
 from ros_insdvl.diagnostics import (
     ERROR,
     OF_FRAMES,

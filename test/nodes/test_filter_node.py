@@ -21,15 +21,17 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, NavSatFix, NavSatStatus
 from std_srvs.srv import Trigger
 
-from insdvl import files, messages
-from insdvl.events import NS
-from insdvl.fold import run
-from insdvl.frames import ENU
-from insdvl.odometry import odometry
-from insdvl.parameters import FilterParameters, build
+from insdvl import files
+from insdvl.messages import convert as messages
+from insdvl.navigation.events import NS
+from insdvl.navigation.geometry.frames import ENU
+from insdvl.navigation.odometry import odometry
+from insdvl.navigation.parameters import FilterParameters
+from insdvl.parameters.declaration import build
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import SCENARIOS
 from insdvl.simulation.trajectories import trajectory_named
+from insdvl.timeline.fold import run
 from ros_insdvl.conversions import flat_covariance, set_quaternion, set_vector, time_of
 from ros_insdvl.filter import FilterNode
 
@@ -510,10 +512,11 @@ def test_statuses_are_named_by_node_and_cause(graph: Any) -> None:
 COMPILED = """
 import sys
 import numpy as np
-from insdvl.events import NS, Dvl, Imu, Initial, ProcessNoise
-from insdvl.fold import Fold
-from insdvl.parameters import FilterParameters, build
-from insdvl.plausibility import FrameCheck
+from insdvl.navigation.events import NS, Dvl, Imu, Initial, ProcessNoise
+from insdvl.timeline.fold import Fold
+from insdvl.navigation.parameters import FilterParameters
+from insdvl.parameters.declaration import build
+from insdvl.watch.alignment import FrameCheck
 from ros_insdvl.filter import compile_kernels
 
 def signatures():

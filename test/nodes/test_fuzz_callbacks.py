@@ -14,9 +14,9 @@ from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Imu, NavSatFix
 
-from insdvl import inputs
-from insdvl.bags import encode
-from insdvl.faults.fuzz import Adversary
+from insdvl.messages import inputs
+from insdvl.recordings.bags import encode
+from insdvl.studies.faults.fuzz import Adversary
 from ros_insdvl.filter import FilterNode
 from ros_insdvl.monitor import Monitor
 from ros_insdvl.tuner import TunerNode

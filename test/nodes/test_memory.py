@@ -6,7 +6,7 @@ import subprocess
 import sys
 from typing import Any
 
-from insdvl.parameters import FilterParameters
+from insdvl.navigation.parameters import FilterParameters
 from ros_insdvl.node import InsdvlNode, run
 
 WARM, TURNS = 200, 2000

@@ -14,7 +14,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu
 
-from insdvl.events import NS
+from insdvl.navigation.events import NS
 from ros_insdvl.conversions import flat_covariance, set_vector, time_of
 from ros_insdvl.monitor import Monitor, OdometrySeries
 

@@ -10,7 +10,8 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from insdvl.parameters import FilterParameters, ParameterError, declarations
+from insdvl.navigation.parameters import FilterParameters
+from insdvl.parameters.declaration import ParameterError, declarations
 from ros_insdvl.monitor import MonitorParameters
 from ros_insdvl.node import InsdvlNode
 

@@ -16,8 +16,8 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu
 
-from insdvl.events import NS
-from insdvl.messages import stamp_ns
+from insdvl.messages.convert import stamp_ns
+from insdvl.navigation.events import NS
 from ros_insdvl.conversions import set_vector, time_of
 
 START_NS = 1_700_000_000_000_000_000

@@ -20,8 +20,9 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu
 from std_srvs.srv import SetBool
 
-from insdvl.parameters import ParameterError, TunerParameters
+from insdvl.parameters.declaration import ParameterError
 from insdvl.tuner.models import load_model
+from insdvl.tuner.parameters import TunerParameters
 from insdvl.tuner.tuner import Tuner
 from ros_insdvl import node
 from ros_insdvl.diagnostics import Status

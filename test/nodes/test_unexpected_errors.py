@@ -19,7 +19,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Imu
 
-from insdvl.parameters import TunerParameters
+from insdvl.tuner.parameters import TunerParameters
 from ros_insdvl.diagnostics import ERROR, OK
 from ros_insdvl.node import InsdvlNode, run
 

@@ -17,14 +17,15 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import Imu
 
-from insdvl.bags import BagReader
-from insdvl.evaluation.metrics import Scores
-from insdvl.events import Imu as Sample
-from insdvl.fold import run
-from insdvl.frames import ENU
-from insdvl.messages import dvl, imu, process_noise, stamp_ns
-from insdvl.odometry import odometry
-from insdvl.parameters import FilterParameters, load_section
+from insdvl.messages.convert import dvl, imu, process_noise, stamp_ns
+from insdvl.navigation.events import Imu as Sample
+from insdvl.navigation.geometry.frames import ENU
+from insdvl.navigation.odometry import odometry
+from insdvl.navigation.parameters import FilterParameters
+from insdvl.parameters.sections import load_section
+from insdvl.recordings.bags import BagReader
+from insdvl.studies.evaluation.metrics import Scores
+from insdvl.timeline.fold import run
 from ros_insdvl_sim import demo
 
 DEADLINE = 300.0  # s; far beyond what any of these waits takes

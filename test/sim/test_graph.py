@@ -14,8 +14,8 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu
 
-from insdvl.events import NS
-from insdvl.messages import stamp_ns
+from insdvl.messages.convert import stamp_ns
+from insdvl.navigation.events import NS
 from ros_insdvl.filter import FilterNode
 from ros_insdvl.tuner import TunerNode
 from ros_insdvl_sim.simulator import Simulator

@@ -19,14 +19,14 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu
 
-from insdvl.events import NS
-from insdvl.faults.link import links
-from insdvl.frames import ENU
-from insdvl.messages import stamp_ns
-from insdvl.parameters import ParameterError, RelayParameters, build
+from insdvl.messages.convert import stamp_ns
+from insdvl.navigation.events import NS
+from insdvl.navigation.geometry.frames import ENU
+from insdvl.parameters.declaration import ParameterError, build
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import SCENARIOS
 from insdvl.simulation.trajectories import trajectory_named
+from insdvl.studies.faults.link import RelayParameters, links
 from ros_insdvl.conversions import set_vector, time_of
 from ros_insdvl.filter import FilterNode
 from ros_insdvl_sim.relay import Relay

@@ -19,10 +19,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
 
-from insdvl import bags
-from insdvl.bags import BagReader, BagWriter, encode
-from insdvl.events import NS
-from insdvl.parameters import ParameterError
+from insdvl.navigation.events import NS
+from insdvl.parameters.declaration import ParameterError
+from insdvl.recordings import bags
+from insdvl.recordings.bags import BagReader, BagWriter, encode
 from ros_insdvl_sim.replay import Replay
 
 RELIABLE = QoSProfile(depth=2000, reliability=ReliabilityPolicy.RELIABLE)

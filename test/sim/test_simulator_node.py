@@ -21,11 +21,12 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
 
-from insdvl import messages
-from insdvl.events import NS
-from insdvl.frames import CONVENTIONS
-from insdvl.parameters import ParameterError, SimulatorParameters, build
+from insdvl.messages import convert as messages
+from insdvl.navigation.events import NS
+from insdvl.navigation.geometry.frames import CONVENTIONS
+from insdvl.parameters.declaration import ParameterError, build
 from insdvl.simulation.mission import mission_of
+from insdvl.simulation.parameters import SimulatorParameters
 from ros_insdvl_sim import player
 from ros_insdvl_sim.simulator import Simulator
 

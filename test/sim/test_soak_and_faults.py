@@ -11,9 +11,9 @@ import pytest
 from nav_msgs.msg import Odometry
 from rclpy.serialization import serialize_message
 
-from insdvl.events import NS
-from insdvl.faults import page
-from insdvl.faults.verdicts import lost
+from insdvl.navigation.events import NS
+from insdvl.studies.faults import page
+from insdvl.studies.faults.verdicts import lost
 from ros_insdvl.conversions import time_of
 from ros_insdvl_sim import faults, process_rows, soak
 from ros_insdvl_sim.harness import HarnessError

@@ -7,13 +7,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl.events import NS
-from insdvl.frames import CONVENTIONS, rotation_from_rpy
-from insdvl.parameters import ParameterError, SimulatorParameters
+from insdvl.navigation.events import NS
+from insdvl.navigation.geometry.frames import CONVENTIONS, rotation_from_rpy
+from insdvl.parameters.declaration import ParameterError
 from insdvl.simulation import noise as profiles
 from insdvl.simulation.dvl import DvlModel, ideal_velocity
 from insdvl.simulation.imu import biases, ideal_imu, white_noise
 from insdvl.simulation.noise import NoiseProfile, ProfileFactory
+from insdvl.simulation.parameters import SimulatorParameters
 from insdvl.simulation.trajectories import Trajectory, Truth, trajectory_named
 
 Array = NDArray[np.float64]

@@ -28,8 +28,8 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import ArrayLike, NDArray
 
-from insdvl.earth import earth_rate_n, gravity, latitude, transport_rate_n
 from insdvl.kernels import kernel
+from insdvl.navigation.geometry.earth import earth_rate_n, gravity, latitude, transport_rate_n
 
 Array = NDArray[np.float64]
 Tables = tuple[Array, Array, Array]

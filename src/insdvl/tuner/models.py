@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 from insdvl.files import read, read_json, shown, write
 from insdvl.tuner import forest, network
+from insdvl.tuner.features.schemas import SCHEMAS, Schema
 from insdvl.tuner.forest import Forest
 from insdvl.tuner.network import Network
-from insdvl.tuner.schemas import SCHEMAS, Schema
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from insdvl.events import NS
+from insdvl.navigation.events import NS
 from insdvl.tuner.windows import CHANNELS, period
 
 Array = NDArray[np.float64]

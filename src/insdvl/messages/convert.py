@@ -1,0 +1,242 @@
+"""Standard ROS messages to events, and outputs to the numbers of a message, without ROS.
+
+A message is anything with the fields of the standard type: rclpy's own, or one that was read from
+a recording. Nodes and `insdvl replay` use the same functions, so both see the same numbers.
+
+Covariances follow REP-145: a first element of -1 says that the quantity is not measured at all,
+zeros say that its covariance is unknown. A zero on the diagonal only says so of that component:
+nothing is known perfectly, see `completed`.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl.navigation.events import MAX_VARIANCE, NS, Dvl, Imu, Initial, Origin, ProcessNoise
+from insdvl.navigation.geometry.frames import Convention, rotation_from_quaternion
+
+Array = NDArray[np.float64]
+
+
+class RejectedMessage(ValueError):
+    """A message cannot be used.
+
+    Attributes:
+        reason: A short word for counting.
+    """
+
+    def __init__(self, reason: str, detail: str) -> None:
+        super().__init__(f"{reason}: {detail}")
+        self.reason = reason
+
+
+def stamp_ns(header: Any) -> int:
+    """Stamp of a header in integer nanoseconds.
+
+    Raises:
+        RejectedMessage: ``bad_stamp`` (negative seconds, or nanoseconds beyond a second).
+    """
+    seconds, nanoseconds = int(header.stamp.sec), int(header.stamp.nanosec)
+    if seconds < 0 or not 0 <= nanoseconds < NS:
+        raise RejectedMessage("bad_stamp", f"stamp is {seconds} s and {nanoseconds} ns")
+    return seconds * NS + nanoseconds
+
+
+def sensor_stamp_ns(header: Any) -> int:
+    """As `stamp_ns`, for a sensor, where zero means that nobody has set it.
+
+    Raises:
+        RejectedMessage: ``bad_stamp`` or ``no_stamp``.
+    """
+    stamp = stamp_ns(header)
+    if stamp == 0:
+        raise RejectedMessage("no_stamp", "stamp is 0")
+    return stamp
+
+
+def vector(field: Any, name: str) -> Array:
+    """A Vector3 or Point as (3,).
+
+    Raises:
+        RejectedMessage: ``not_finite``.
+    """
+    x, y, z = float(field.x), float(field.y), float(field.z)
+    if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
+        raise RejectedMessage("not_finite", f"{name} is {[x, y, z]}")
+    return np.array([x, y, z])
+
+
+def square(field: Any, size: int, name: str) -> Array:
+    """A row-major field of size^2 numbers as (size, size).
+
+    Raises:
+        RejectedMessage: ``bad_covariance``: it has another number of elements.
+    """
+    value = np.asarray(field, dtype=float).ravel()
+    if value.size != size * size:
+        raise RejectedMessage("bad_covariance", f"{name} has {value.size} elements")
+    return value.reshape(size, size)
+
+
+def covariance(field: Any, size: int, name: str) -> Array | None:
+    """A row-major covariance field as (size, size); None where it is unknown (zeros).
+
+    Raises:
+        RejectedMessage: ``no_data`` (first element -1), ``bad_covariance`` (wrong size, not finite,
+            not symmetric, or not positive semidefinite).
+    """
+    matrix = square(field, size, name)
+    if matrix[0, 0] == -1.0:
+        raise RejectedMessage("no_data", f"{name}[0] is -1")
+    if not matrix.any():
+        return None
+    if not np.isfinite(matrix).all():
+        raise RejectedMessage("bad_covariance", f"{name} is not finite: {matrix.tolist()}")
+    scale = np.abs(matrix).max()
+    if scale > MAX_VARIANCE:
+        raise RejectedMessage("bad_covariance", f"{name} is as large as {scale:g}")
+    if np.abs(matrix - matrix.T).max() > 1e-9 * scale:
+        raise RejectedMessage("bad_covariance", f"{name} is not symmetric: {matrix.tolist()}")
+    matrix = (matrix + matrix.T) / 2
+    if np.linalg.eigvalsh(matrix)[0] < -1e-9 * scale:
+        raise RejectedMessage("bad_covariance", f"{name} has a negative eigenvalue")
+    return matrix
+
+
+def completed(P: Array | None, sigmas: Sequence[float]) -> Array | None:
+    """A covariance (3, 3) whose unknown components, of variance zero, have these sigmas.
+
+    They are independent of the others. Where it is None all are unknown, which stays so.
+    """
+    if P is None or np.diagonal(P).all():
+        return P
+    unknown = np.diagonal(P) == 0.0
+    known = np.where(unknown[:, None] | unknown, 0.0, P)
+    return known + np.diag(np.where(unknown, np.square(sigmas), 0.0))
+
+
+def _not_measured(field: Any) -> bool:
+    """REP-145's mark in a covariance field, which may have any size."""
+    return len(field) > 0 and float(field[0]) == -1.0
+
+
+def imu(message: Any, convention: Convention) -> Imu:
+    """The sample of a sensor_msgs/Imu.
+
+    Raises:
+        RejectedMessage: ``bad_stamp``, ``no_stamp``, ``not_finite``, or ``no_data`` where a triad
+            says that it does not measure.
+    """
+    for name in ("linear_acceleration", "angular_velocity"):
+        if _not_measured(getattr(message, name + "_covariance")):
+            raise RejectedMessage("no_data", f"{name}_covariance[0] is -1")
+    return Imu(
+        stamp_ns=sensor_stamp_ns(message.header),
+        f_b=convention.body @ vector(message.linear_acceleration, "linear_acceleration"),
+        w_ib_b=convention.body @ vector(message.angular_velocity, "angular_velocity"),
+    )
+
+
+def process_noise(message: Any, convention: Convention) -> ProcessNoise:
+    """The per-sample covariances of a sensor_msgs/Imu.
+
+    Raises:
+        RejectedMessage: ``bad_stamp`` or ``bad_covariance``.
+    """
+
+    def rotated(name: str) -> Array | None:
+        field = getattr(message, name)
+        if _not_measured(field):
+            return None
+        Q = covariance(field, 3, name)
+        return None if Q is None else convention.body @ Q @ convention.body.T
+
+    return ProcessNoise(
+        stamp_ns=stamp_ns(message.header),
+        Q_f=rotated("linear_acceleration_covariance"),
+        Q_w=rotated("angular_velocity_covariance"),
+    )
+
+
+def dvl(message: Any, convention: Convention) -> Dvl:
+    """The velocity of a geometry_msgs/TwistStamped or TwistWithCovarianceStamped.
+
+    Raises:
+        RejectedMessage: ``bad_stamp``, ``no_stamp``, ``not_finite``, ``no_data`` or
+            ``bad_covariance``.
+    """
+    twist, R = message.twist, None
+    if hasattr(twist, "covariance"):
+        name = "twist.covariance"
+        R = covariance(square(twist.covariance, 6, name)[:3, :3], 3, name)
+        twist = twist.twist
+    if R is not None:
+        R = convention.body @ R @ convention.body.T
+    return Dvl(
+        stamp_ns=sensor_stamp_ns(message.header),
+        v_d=convention.body @ vector(twist.linear, "twist.linear"),
+        R=R,
+    )
+
+
+def initial(message: Any, convention: Convention, *, once: bool) -> Initial:
+    """The state of a nav_msgs/Odometry: pose in odom, twist in body axes (REP-105).
+
+    Raises:
+        RejectedMessage: ``bad_stamp``, ``not_finite``, ``bad_quaternion``, ``no_data`` or
+            ``bad_covariance``.
+    """
+    q = message.pose.pose.orientation
+    q_xyzw = np.array([q.x, q.y, q.z, q.w], dtype=float)
+    if not abs(np.linalg.norm(q_xyzw) - 1.0) < 1e-2:
+        raise RejectedMessage("bad_quaternion", f"orientation is {q_xyzw.tolist()}")
+    pose = covariance(message.pose.covariance, 6, "pose.covariance")
+    twist = covariance(message.twist.covariance, 6, "twist.covariance")
+    nav, body = convention.nav, convention.body
+
+    def block(P: Array | None, rows: slice, rotation: Array) -> Array | None:
+        if P is None or not P[rows, rows].any():
+            return None
+        return rotation @ P[rows, rows] @ rotation.T
+
+    return Initial(
+        stamp_ns=stamp_ns(message.header),
+        C_n_b=convention.attitude(rotation_from_quaternion(q_xyzw)),
+        p_n=nav @ vector(message.pose.pose.position, "position"),
+        v=body @ vector(message.twist.twist.linear, "twist.linear"),
+        velocity_frame="body",
+        P_v=block(twist, slice(0, 3), body),
+        P_psi=block(pose, slice(3, 6), nav),
+        P_p=block(pose, slice(0, 3), nav),
+        once=once,
+    )
+
+
+def origin(message: Any, height: float) -> Origin:
+    """The position of a sensor_msgs/NavSatFix.
+
+    Args:
+        message: The fix.
+        height: Where the fix has none [m]: its altitude is then NaN.
+
+    Raises:
+        RejectedMessage: ``bad_stamp``, ``no_data`` (status below 0), ``not_finite`` or
+            ``out_of_range`` (the latitude; the fold refuses an impossible height).
+    """
+    if message.status.status < 0:
+        raise RejectedMessage("no_data", f"status is {message.status.status}")
+    altitude = height if math.isnan(message.altitude) else message.altitude
+    fix = np.array([message.latitude, message.longitude, altitude], dtype=float)
+    if not np.isfinite(fix).all():
+        raise RejectedMessage("not_finite", f"fix is {fix.tolist()}")
+    if abs(fix[0]) > 90.0:
+        raise RejectedMessage("out_of_range", f"latitude is {fix[0]} deg")
+    return Origin(
+        stamp_ns=stamp_ns(message.header),
+        lat=float(np.radians(fix[0])),
+        lon=float(np.radians(fix[1])),
+        h=float(fix[2]),
+    )

@@ -1,0 +1,1 @@
+"""The numbers of one vehicle: its state, what changes it, and what it says."""

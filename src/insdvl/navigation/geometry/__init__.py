@@ -1,0 +1,1 @@
+"""The Earth, rotations and the axes of the conventions."""

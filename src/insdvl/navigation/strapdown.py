@@ -1,0 +1,120 @@
+"""Strapdown mechanisation in NED: attitude, velocity, position from specific force and turn rate.
+
+    C_n_b' = C_n_b [w_ib_b x] - [w_in_n x] C_n_b
+    v_n'   = C_n_b f_b + g_n - (2 w_ie_n + w_en_n) x v_n
+    p_n'   = v_n
+
+(Groves 2013, section 5.4.) A sample is the mean over its interval. Under constant f_b and w_ib_b
+the attitude and the rotated specific force are integrated exactly; the rest is of second order in
+the step.
+"""
+
+import numpy as np
+
+from insdvl.kernels import kernel
+from insdvl.navigation.geometry import earth
+from insdvl.navigation.geometry.rotation import (
+    cross,
+    exponential,
+    orthonormalise,
+    product,
+    rotate,
+    rotate_back,
+)
+from insdvl.navigation.state import Constants, State, Workspace
+
+#: Farthest [m] below or above the origin that gravity follows. Without a depth sensor the height
+#: drifts, and gravity, which falls with it, makes it drift faster and faster.
+MAX_DEPTH = 12_000.0
+
+
+@kernel
+def earth_terms(s: State, w: Workspace, c: Constants) -> None:
+    """Earth rate, transport rate matrix and gravity at the state's position into the workspace."""
+    lat = earth.latitude(s.lat_0, s.h_0, s.p_n[0])
+    h = s.h_0 - min(max(s.p_n[2], -MAX_DEPTH), MAX_DEPTH)
+    w.g_n[0] = 0.0
+    w.g_n[1] = 0.0
+    w.g_n[2] = earth.gravity(lat, h)
+    if c.earth_rate:
+        earth.earth_rate_n(lat, w.w_ie_n)
+        w.W_v[0, 1], w.W_v[1, 0], w.W_v[2, 1] = earth.transport_rate_coefficients(lat, h)
+
+
+@kernel
+def navigation_rate(w: Workspace, v_n: np.ndarray) -> None:
+    """w_en = W_v v and w_in = w_ie + w_en at a velocity, into the workspace."""
+    rotate(w.w_en_n, w.W_v, v_n)
+    for i in range(3):
+        w.w_in_n[i] = w.w_ie_n[i] + w.w_en_n[i]
+
+
+@kernel
+def turn_rate(w_nb_b: np.ndarray, s: State, w: Workspace, c: Constants, w_ib_b: np.ndarray) -> None:
+    """w_nb_b = w_ib_b - C_b_n w_in_n at the state, whose w_in_n stays in the workspace.
+
+    Args:
+        w_nb_b: (3,) result [rad/s].
+        w_ib_b: (3,) angular rate [rad/s], bias removed, base_link axes.
+    """
+    earth_terms(s, w, c)
+    navigation_rate(w, s.v_n)
+    rotate_back(w_nb_b, s.C_n_b, w.w_in_n)
+    for i in range(3):
+        w_nb_b[i] = w_ib_b[i] - w_nb_b[i]
+
+
+@kernel
+def acceleration(w: Workspace, v_n: np.ndarray, a_n: np.ndarray) -> None:
+    """a_n = f_n + g_n - (2 w_ie_n + w_en_n) x v_n, with what is in the workspace."""
+    for i in range(3):
+        w.x4[i] = 2.0 * w.w_ie_n[i] + w.w_en_n[i]
+    cross(a_n, w.x4, v_n)
+    for i in range(3):
+        a_n[i] = w.f_n[i] + w.g_n[i] - a_n[i]
+
+
+@kernel
+def mechanise(
+    s: State, w: Workspace, c: Constants, f_b: np.ndarray, w_ib_b: np.ndarray, dt: float
+) -> None:
+    """Advance C_n_b, v_n and p_n of a state over a step.
+
+    The workspace keeps the middle of the step for the error dynamics: C_mean, f_n, v_n, g_n, the
+    rates. ``s.w_nb_b`` becomes the turn rate over the step.
+
+    Args:
+        f_b: (3,) specific force [m/s^2], bias removed, base_link axes.
+        w_ib_b: (3,) angular rate [rad/s], bias removed, base_link axes.
+        dt: Step [s].
+    """
+    earth_terms(s, w, c)
+    navigation_rate(w, s.v_n)
+
+    # Body turn over the step and its mean; the frame's turn to the middle and to the end.
+    turn, mean_turn, frame = w.M1, w.M2, w.M3
+    exponential(turn, mean_turn, w_ib_b[0] * dt, w_ib_b[1] * dt, w_ib_b[2] * dt)
+    half = -0.5 * dt
+    exponential(frame, w.M4, w.w_in_n[0] * half, w.w_in_n[1] * half, w.w_in_n[2] * half)
+    product(w.M4, s.C_n_b, mean_turn)
+    product(w.C_mean, frame, w.M4)
+    rotate(w.f_n, w.C_mean, f_b)
+
+    # Velocity at the middle, then the rates there, then the whole step.
+    acceleration(w, s.v_n, w.x1)
+    for i in range(3):
+        w.v_n[i] = s.v_n[i] + 0.5 * dt * w.x1[i]
+    navigation_rate(w, w.v_n)
+    acceleration(w, w.v_n, w.x1)
+    for i in range(3):
+        s.p_n[i] += dt * (s.v_n[i] + 0.5 * dt * w.x1[i])
+        s.v_n[i] += dt * w.x1[i]
+
+    product(w.M4, s.C_n_b, turn)
+    exponential(frame, w.M2, -w.w_in_n[0] * dt, -w.w_in_n[1] * dt, -w.w_in_n[2] * dt)
+    product(s.C_n_b, frame, w.M4)
+    orthonormalise(s.C_n_b, w.M4)
+
+    rotate_back(w.x1, s.C_n_b, w.w_in_n)
+    for i in range(3):
+        s.w_nb_b[i] = w_ib_b[i] - w.x1[i]

@@ -1,0 +1,1 @@
+"""How parameters are declared, checked and read from files."""

@@ -1,0 +1,265 @@
+"""Parameters: what every node and command can be told, declared once.
+
+A group of parameters is a frozen dataclass whose fields are made by `parameter`, with unit, range
+and meaning. From these come the ROS declarations and descriptors, the check of a YAML file, the
+tables in docs/parameters.md and the example files. Groups nest; a nested field's full name is
+joined by dots (``dvl.lever_arm``).
+
+A value is accepted exactly as ROS 2 accepts it: types are strict (``5`` is not a float), a list is
+of floats throughout. What is wrong is named, with its value and what is allowed.
+"""
+
+import dataclasses
+import difflib
+import math
+import typing
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, TypeVar
+
+from insdvl.files import shown
+
+_Group = TypeVar("_Group")
+
+
+class ParameterError(ValueError):
+    """A parameter has an unknown name, a wrong type or a value out of its range."""
+
+
+#: Largest size of a number with a unit, where its parameter has no bound of its own: more than any
+#: vehicle, sensor or mission has, and little enough that squares and products stay finite.
+WIDEST = MappingProxyType(
+    {
+        "s": 1e9,
+        "m": 1e7,
+        "m/s": 1e3,
+        "m/s^2": 1e4,
+        "rad": 2 * math.pi,
+        "rad/s": 1e3,
+        "(m/s^2)^2": 1e8,
+        "(rad/s)^2": 1e6,
+        "(m/s^2)^2/s": 1e8,
+        "(rad/s)^2/s": 1e6,
+    }
+)
+
+
+def parameter(
+    default: Any,
+    meaning: str,
+    *,
+    unit: str = "",
+    low: float | None = None,
+    high: float | None = None,
+    above: float | None = None,
+    choices: tuple[str, ...] = (),
+    length: int | None = None,
+) -> Any:
+    """A dataclass field that is a parameter.
+
+    Args:
+        default: The value when nothing is given; its type is the parameter's type. A tuple of
+            floats or of strings is a list of them, and is not empty.
+        meaning: One sentence.
+        unit: SI unit of the value, empty for a plain number.
+        low: Smallest value allowed, also of each element of a list; see WIDEST if not given.
+        high: Largest value allowed, also of each element of a list; see WIDEST if not given.
+        above: The value must be larger than this.
+        choices: The strings allowed; empty for any.
+        length: Number of elements of a list.
+    """
+    if unit in WIDEST:
+        high = WIDEST[unit] if high is None else high
+        low = -WIDEST[unit] if low is None and above is None else low
+    metadata = {
+        "meaning": meaning,
+        "unit": unit,
+        "low": low,
+        "high": high,
+        "above": above,
+        "choices": choices,
+        "length": length,
+    }
+    return field(default=default, metadata=metadata)
+
+
+@dataclass(frozen=True)
+class Declaration:
+    """One parameter of a group, as ROS and the documentation need it."""
+
+    name: str
+    default: Any
+    meaning: str
+    unit: str
+    low: float | None
+    high: float | None
+    above: float | None
+    choices: tuple[str, ...]
+    length: int | None
+
+    @property
+    def type_name(self) -> str:
+        """``bool``, ``int``, ``float``, ``string``, ``list of floats`` or ``list of strings``."""
+        names = {bool: "bool", int: "int", float: "float", str: "string"}
+        if type(self.default) is tuple:
+            return f"list of {names[type(self.default[0])]}s"
+        return names[type(self.default)]
+
+    @property
+    def range_text(self) -> str:
+        """What values are allowed, in words; empty where any is."""
+        if self.choices:
+            return "one of " + ", ".join(self.choices)
+        bounds = []
+        if self.above is not None:
+            bounds.append(f"> {self.above:g}")
+        if self.low is not None:
+            bounds.append(f">= {self.low:g}")
+        if self.high is not None:
+            bounds.append(f"<= {self.high:g}")
+        text = " and ".join(bounds)
+        if self.length is not None:
+            text = f"{self.length} values" + (f", each {text}" if text else "")
+        return text
+
+    def check(self, value: Any) -> Any:
+        """The value as the dataclass keeps it (lists become tuples).
+
+        Raises:
+            ParameterError: It has the wrong type or is outside the range.
+        """
+        if type(self.default) is tuple:
+            if isinstance(value, str) or not hasattr(value, "__iter__"):
+                raise self._wrong_type(value)
+            elements = tuple(value)
+            if any(type(element) is not type(self.default[0]) for element in elements):
+                raise self._wrong_type(value)
+            if self.length is not None and len(elements) != self.length:
+                raise self._out_of_range(value)
+            for element in elements:
+                if type(element) is float and not self._allows(element):
+                    raise self._out_of_range(value)
+            return elements
+        if type(value) is not type(self.default):
+            raise self._wrong_type(value)
+        if self.choices and value not in self.choices:
+            raise self._out_of_range(value)
+        if type(value) is str and "\0" in value:
+            raise ParameterError(f"parameter '{self.name}' must have no NUL, got {shown(value)}")
+        if type(value) is int and not -(2**63) <= value < 2**63:
+            raise ParameterError(
+                f"parameter '{self.name}' must fit into 64 bits, got {shown(value)}"
+            )
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        if number and not self._allows(value):
+            raise self._out_of_range(value)
+        return value
+
+    def _allows(self, value: float) -> bool:
+        return (
+            math.isfinite(value)
+            and (self.low is None or value >= self.low)
+            and (self.high is None or value <= self.high)
+            and (self.above is None or value > self.above)
+        )
+
+    def _wrong_type(self, value: Any) -> ParameterError:
+        return ParameterError(
+            f"parameter '{self.name}' must be a {self.type_name}, got {shown(value)} "
+            f"({type(value).__name__})"
+        )
+
+    def _out_of_range(self, value: Any) -> ParameterError:
+        return ParameterError(
+            f"parameter '{self.name}' must be {self.range_text or 'finite'}, got {shown(value)}"
+        )
+
+
+def check_frames(odom: str, base: str) -> None:
+    """What is related by an odometry are two frames with names."""
+    for name, frame in (("odom_frame", odom), ("base_frame", base)):
+        if not frame:
+            raise ParameterError(f"parameter '{name}' must not be empty")
+    if odom == base:
+        raise ParameterError(
+            f"parameter 'base_frame' must be another one than odom_frame, got {shown(base)}"
+        )
+
+
+def declarations(group: type[Any], prefix: str = "") -> Iterator[Declaration]:
+    """The parameters of a group, those of nested groups included, in their written order."""
+    types = typing.get_type_hints(group)
+    for item in dataclasses.fields(group):
+        name = prefix + item.name
+        if dataclasses.is_dataclass(types[item.name]):
+            yield from declarations(types[item.name], name + ".")
+        else:
+            yield Declaration(name=name, default=item.default, **item.metadata)
+
+
+def build(group: type[_Group], values: Mapping[str, Any], prefix: str = "") -> _Group:
+    """A group from full names and values; what is not given takes its default.
+
+    Raises:
+        ParameterError: An unknown name, a wrong type, a value out of range or a contradiction.
+    """
+    known = {declaration.name: declaration for declaration in declarations(group, prefix)}
+    for name in values:
+        if name.startswith(prefix) and name not in known:
+            near = difflib.get_close_matches(name, known, n=3, cutoff=0.0)
+            raise ParameterError(
+                f"unknown parameter {shown(name)}; the nearest are {', '.join(near)}"
+            )
+    return _build(group, values, known, prefix)
+
+
+def _build(
+    group: type[_Group], values: Mapping[str, Any], known: Mapping[str, Declaration], prefix: str
+) -> _Group:
+    types = typing.get_type_hints(group)
+    arguments = {}
+    for item in dataclasses.fields(group):  # type: ignore[arg-type]
+        name = prefix + item.name
+        if dataclasses.is_dataclass(types[item.name]):
+            arguments[item.name] = _build(types[item.name], values, known, name + ".")
+        elif name in values:
+            arguments[item.name] = known[name].check(values[name])
+    return group(**arguments)
+
+
+def flatten(group: Any, prefix: str = "") -> dict[str, Any]:
+    """Full names and values of a group; `build` makes the group again from them."""
+    values: dict[str, Any] = {}
+    for item in dataclasses.fields(group):
+        value = getattr(group, item.name)
+        if dataclasses.is_dataclass(value):
+            values.update(flatten(value, prefix + item.name + "."))
+        else:
+            values[prefix + item.name] = value
+    return values
+
+
+def mount(sensor: str) -> Any:
+    """How a sensor is turned against the vehicle."""
+    return parameter(
+        (0.0, 0.0, 0.0),
+        f"Rotation from {sensor} axes to base_link axes, as roll, pitch, yaw of the {sensor} in "
+        "base_link.",
+        unit="rad",
+        low=-2 * math.pi,
+        high=2 * math.pi,
+        length=3,
+    )
+
+
+def lever_arm(sensor: str) -> Any:
+    """Where a sensor sits in the vehicle."""
+    return parameter(
+        (0.0, 0.0, 0.0),
+        f"Position of the {sensor} in base_link.",
+        unit="m",
+        low=-1000.0,
+        high=1000.0,
+        length=3,
+    )

@@ -1,0 +1,43 @@
+"""Which topics of a recording are played as which of ours."""
+
+from dataclasses import dataclass
+
+from insdvl.parameters.declaration import parameter
+
+
+@dataclass(frozen=True)
+class ReplayParameters:
+    """Parameters of the replay, for the node and for `insdvl replay`.
+
+    The topics are the names in the recording; an empty one, or one that is not in it, is not
+    played.
+    """
+
+    bag: str = parameter("", "Folder or file of the rosbag2 recording; the node needs it.")
+    rate_factor: float = parameter(
+        0.0,
+        "Speed against the stamps, with /clock for the consumers; 0 is real time without /clock.",
+        low=0.0,
+        high=1000.0,
+    )
+    min_subscribers: int = parameter(
+        1, "The node begins when imu/data_raw has this many subscriptions.", low=0, high=1000
+    )
+    imu_topic: str = parameter("/imu/data_raw", "sensor_msgs/Imu, played on imu/data_raw.")
+    dvl_topic: str = parameter("/dvl/velocity", "TwistStamped, played on dvl/velocity.")
+    dvl_covariance_topic: str = parameter(
+        "/dvl/velocity_cov", "TwistWithCovarianceStamped, played on dvl/velocity_cov."
+    )
+    process_noise_topic: str = parameter(
+        "/process_noise", "sensor_msgs/Imu, played on process_noise."
+    )
+    ground_truth_topic: str = parameter(
+        "/ground_truth/odometry", "nav_msgs/Odometry, played on ground_truth/odometry."
+    )
+    true_process_noise_topic: str = parameter(
+        "/ground_truth/process_noise", "sensor_msgs/Imu, played on ground_truth/process_noise."
+    )
+    fix_topic: str = parameter("/gps/fix", "sensor_msgs/NavSatFix, played on gps/fix.")
+    set_odometry_topic: str = parameter(
+        "/set_odometry", "nav_msgs/Odometry, played on set_odometry."
+    )

@@ -1,0 +1,1 @@
+"""What is done on land: replay, training, evaluation, faults, reports."""

@@ -1,0 +1,264 @@
+"""The rows of the comparison: filters that differ in where their process noise comes from.
+
+Names are those of the reports and of the option --rows. Some rows are the best of several
+candidates, settled on seeds of their own: the best constant Q, the best innovation-adaptive
+filters.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from insdvl.navigation.parameters import FilterParameters
+from insdvl.parameters.declaration import build
+from insdvl.simulation.trajectories import AUV
+from insdvl.tuner.features.closed_form import degree_5
+from insdvl.tuner.models import Model, ModelError, load_model
+from insdvl.tuner.offline import Estimator
+
+#: What the filter believes, by preset: `calibrated` is this project's filter; `paper` the published
+#: one, whose variances are used as densities and whose bias walks have the density 0.001;
+#: `paper-no-walk` the same without bias walks, to show what those do.
+PRESETS: Mapping[str, Mapping[str, Any]] = {
+    "calibrated": {
+        "error_state": "invariant",
+        "process_noise.convention": "per_sample",
+        "process_noise.accelerometer_bias_walk": 1e-9,
+        "process_noise.gyroscope_bias_walk": 1e-13,
+    },
+    "paper": {
+        "error_state": "ned",
+        "process_noise.convention": "density",
+        "process_noise.accelerometer_bias_walk": 1e-3,
+        "process_noise.gyroscope_bias_walk": 1e-3,
+    },
+    "paper-no-walk": {
+        "error_state": "ned",
+        "process_noise.convention": "density",
+        "process_noise.accelerometer_bias_walk": 0.0,
+        "process_noise.gyroscope_bias_walk": 0.0,
+    },
+}
+
+FIRST = (0.01, 0.001)  # the first published constant: variances of f_b [(m/s^2)^2], w_ib_b
+SECOND = (0.2, 0.02)  # the second, 20 times the first
+
+#: Learned process noise: the row, and the model that it uses.
+LEARNED = {
+    "hcf paper": "paper",
+    "hcf default": "default",
+    "dnn": "dnn",
+    "dnn default": "dnn-default",
+}
+CLOSED_FORM = "closed form"
+ORACLE = "oracle"
+FIRST_CONSTANT = "constant 0.01/0.001"
+SECOND_CONSTANT = "constant 0.2/0.02"
+BEST_CONSTANT = "best constant"
+BEST_CONSTANT_SRMSE = "best constant for SRMSE"
+ZERO_VELOCITY = "zero velocity"
+PERFECT_HEADING = "perfect heading"
+_LITERAL = {f"adaptive xi={xi} literal": xi for xi in (1, 5)}
+_FLOORED = {f"adaptive xi={xi} floored": xi for xi in (1, 5)}
+BEST_XI = "adaptive best xi"
+VARIATIONAL = "adaptive variational"
+
+#: All rows, in the order of the tables.
+ROWS = (
+    FIRST_CONSTANT,
+    SECOND_CONSTANT,
+    *_LITERAL,
+    *_FLOORED,
+    BEST_XI,
+    VARIATIONAL,
+    "dnn",
+    "dnn default",
+    "hcf paper",
+    "hcf default",
+    BEST_CONSTANT,
+    BEST_CONSTANT_SRMSE,
+    CLOSED_FORM,
+    ORACLE,
+    ZERO_VELOCITY,
+    PERFECT_HEADING,
+)
+#: Rows that no filter makes: they follow from the truth, and from the oracle's result.
+FLOORS = (ZERO_VELOCITY, PERFECT_HEADING)
+
+#: Beginning of the row of a model that does not ship; its path follows.
+OWN_MODEL = "model "
+
+#: Samples in the window of the closed form.
+WINDOW = 200
+
+
+@dataclass(frozen=True)
+class Approach:
+    """A filter and where its Q comes from.
+
+    Attributes:
+        name: Of the row, or of the candidate.
+        parameters: Of the filter.
+        learner: Row of a learned model, `CLOSED_FORM` or `ORACLE`: who tells the filter its Q;
+            empty where the filter needs nobody.
+    """
+
+    name: str
+    parameters: FilterParameters
+    learner: str = ""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What all rows of a table share.
+
+    Attributes:
+        preset: Key of `PRESETS`.
+        error_state: ``invariant`` or ``ned``; empty for that of the preset.
+        gate: Whether the chi-square gate is on.
+    """
+
+    preset: str
+    error_state: str = ""
+    gate: bool = False
+
+    def filter(self, variances: Sequence[float] = FIRST, **values: Any) -> FilterParameters:
+        """Parameters of a filter with these nominal variances (of f_b and of w_ib_b).
+
+        Args:
+            variances: Nominal variances of every axis.
+            values: Parameters of the process noise, by their names in that group.
+        """
+        given = {
+            **PRESETS[self.preset],
+            "origin.latitude_deg": float(np.degrees(AUV.lat_0)),
+            "origin.longitude_deg": float(np.degrees(AUV.lon_0)),
+            "origin.height": AUV.h_0,
+            "initial.mode": "set_odometry",
+            "gate.enabled": self.gate,
+            "process_noise.accelerometer_variance": (float(variances[0]),) * 3,
+            "process_noise.gyroscope_variance": (float(variances[1]),) * 3,
+        }
+        if self.error_state:
+            given["error_state"] = self.error_state
+        given |= {f"process_noise.{name}": value for name, value in values.items()}
+        return build(FilterParameters, given)
+
+
+def approach(name: str, setting: Setting) -> Approach:
+    """The approach of a row that needs no search."""
+    if name == FIRST_CONSTANT:
+        return Approach(name, setting.filter(FIRST))
+    if name == SECOND_CONSTANT:
+        return Approach(name, setting.filter(SECOND))
+    if name in _LITERAL:
+        return _adaptive(name, setting, FIRST, _LITERAL[name], "literal")
+    if name in _FLOORED:
+        return _adaptive(name, setting, FIRST, _FLOORED[name], "floored")
+    source = "oracle" if name == ORACLE else "external"
+    return Approach(name, setting.filter(source=source), learner=name)
+
+
+def _adaptive(
+    name: str, setting: Setting, nominal: Sequence[float], xi: int, form: str
+) -> Approach:
+    parameters = setting.filter(nominal, source="adaptive", adaptive_window=xi, adaptive_form=form)
+    return Approach(name, parameters)
+
+
+#: Variances of the search for the best constant: decades around all that the scenarios have, then
+#: steps of a third of a decade around the best of those.
+_F_DECADES = (1e-4, 1e-3, 1e-2, 1e-1, 1.0)
+_W_DECADES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
+_STEPS = tuple(10.0 ** (step / 3.0) for step in range(-1, 2))
+_XI_GRID = (1, 2, 5, 10, 20, 50)
+_TAU_GRID = (1.0, 3.0, 10.0, 30.0)
+
+
+def constants(setting: Setting, around: Approach | None = None) -> tuple[Approach, ...]:
+    """Candidates for the best constant Q: over decades, or finely around the best of those."""
+    if around is None:
+        grid = product(_F_DECADES, _W_DECADES)
+    else:
+        f, w = nominal(around)
+        grid = product([f * step for step in _STEPS], [w * step for step in _STEPS])
+    return tuple(Approach(f"{f:.3g}/{w:.3g}", setting.filter((f, w))) for f, w in grid)
+
+
+def nominal(approach: Approach) -> tuple[float, float]:
+    """Nominal variances of f_b and of w_ib_b."""
+    noise = approach.parameters.process_noise
+    return noise.accelerometer_variance[0], noise.gyroscope_variance[0]
+
+
+def adaptives(setting: Setting, best: tuple[float, float]) -> dict[str, tuple[Approach, ...]]:
+    """Candidates for the best innovation-adaptive filters, by row.
+
+    Each is tried with the first published constant and with the best constant as its nominal Q.
+
+    Args:
+        setting: Of the table.
+        best: Variances of the best constant.
+    """
+    xi = tuple(
+        _adaptive(f"xi={n} floored, nominal {f:.3g}/{w:.3g}", setting, (f, w), n, "floored")
+        for (f, w), n in product((FIRST, best), _XI_GRID)
+    )
+    tau = tuple(
+        Approach(
+            f"tau={tau:g}, nominal {f:.3g}/{w:.3g}",
+            setting.filter(
+                (f, w), source="adaptive", adaptive_form="variational", adaptive_prior=tau
+            ),
+        )
+        for (f, w), tau in product((FIRST, best), _TAU_GRID)
+    )
+    return {BEST_XI: xi, VARIATIONAL: tau}
+
+
+def model_of(row: str) -> str | None:
+    """Name or path of the model of a row; None where the row has none."""
+    return row.removeprefix(OWN_MODEL) if row.startswith(OWN_MODEL) else LEARNED.get(row)
+
+
+@cache
+def model(row: str) -> Model | None:
+    """The model of a row, None where the row has none; read once.
+
+    Raises:
+        ModelError: It cannot be used.
+    """
+    name = model_of(row)
+    return None if name is None else load_model(name)
+
+
+def unavailable(rows: Sequence[str]) -> dict[str, str]:
+    """Rows that cannot be computed here, and why."""
+    reasons = {}
+    for row in rows:
+        try:
+            model(row)
+        except ModelError as error:
+            reasons[row] = str(error)
+    return reasons
+
+
+def fingerprint(rows: Sequence[str]) -> dict[str, str]:
+    """SHA-256 of the models that the rows use, by row."""
+    missing = unavailable(rows)
+    models = {row: model(row) for row in rows if row not in missing}
+    return {row: found.card["sha256"] for row, found in models.items() if found is not None}
+
+
+def estimator(learner: str) -> tuple[Estimator, int]:
+    """The estimator of a learner, and its window.
+
+    Raises:
+        ModelError: Its model cannot be used.
+    """
+    found = model(learner)
+    return (degree_5, WINDOW) if found is None else (found.variances, found.window)

@@ -1,0 +1,139 @@
+"""The command `insdvl evaluate`: the comparison of all approaches in one scenario."""
+
+import argparse
+import sys
+from dataclasses import asdict
+from pathlib import Path
+
+from insdvl.files import check_writable, json_text, write
+from insdvl.jobs import parallel
+from insdvl.jobs.parallel import Store, TaskError
+from insdvl.simulation.noise import SCENARIOS
+from insdvl.simulation.trajectories import AUV
+from insdvl.studies.evaluation import plots, tables
+from insdvl.studies.evaluation.approaches import OWN_MODEL, PRESETS, ROWS, Setting, fingerprint
+from insdvl.studies.evaluation.comparison import Plan, compare
+from insdvl.studies.evaluation.options import check_names, check_numbers
+from insdvl.tuner.models import load_model
+
+ERROR_STATES = ("invariant", "ned")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's options."""
+    parser.add_argument(
+        "--scenario",
+        default="varying",
+        metavar="NAME",
+        help=f"the IMU's noise: {', '.join(SCENARIOS)} (default: varying)",
+    )
+    parser.add_argument(
+        "--preset",
+        default="calibrated",
+        metavar="NAME",
+        help="what the filters believe: calibrated (default), or paper, as published",
+    )
+    parser.add_argument(
+        "--error-state",
+        default="",
+        metavar="NAME",
+        help="invariant or ned (default: that of the preset)",
+    )
+    parser.add_argument("--gate", action="store_true", help="with the chi-square gate of the DVL")
+    parser.add_argument(
+        "--rows",
+        metavar="NAME,NAME",
+        help=f"which approaches, with commas between (default: all): {', '.join(ROWS)}",
+    )
+    parser.add_argument(
+        "--model",
+        metavar="FILE",
+        help="one row more: a model of your own, with its card beside it",
+    )
+    parser.add_argument(
+        "--runs", type=int, default=100, metavar="N", help="paired runs (default: 100)"
+    )
+    parser.add_argument(
+        "--tuning-runs",
+        type=int,
+        default=20,
+        metavar="N",
+        help="runs, on other seeds, for what is searched: best constant, best adaptive (default: "
+        "20)",
+    )
+    parser.add_argument("--seed", type=int, default=1, help="of all runs (default: 1)")
+    parser.add_argument(
+        "--duration",
+        type=float,
+        metavar="S",
+        help=f"shorter missions, for a first look (default: {AUV.duration:g})",
+    )
+    parser.add_argument(
+        "--json", type=Path, required=True, metavar="FILE", help="where the numbers go"
+    )
+    parser.add_argument(
+        "--markdown", type=Path, metavar="FILE", help="where the tables go, which are printed too"
+    )
+    parser.add_argument(
+        "--plot", type=Path, metavar="FILE", help="PNG of the errors over time, of the first rows"
+    )
+    parallel.add_arguments(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Evaluate; the exit code is 2 where the input is refused, and then nothing is written."""
+    try:
+        plan = _plan(arguments)
+        for option in ("json", "markdown", "plot"):
+            file = getattr(arguments, option)
+            if file is not None:
+                check_writable(file, f"--{option}")
+        workers = parallel.workers_of(arguments)
+        with parallel.pool(workers) as pool:
+            store = Store(
+                arguments.json.with_name(arguments.json.name + ".work"),
+                {"plan": asdict(plan), "models": fingerprint(plan.rows)},
+            )
+            comparison = compare(plan, pool, store)
+        text = tables.comparison(comparison.document)
+        write(arguments.json, json_text(comparison.document).encode())
+        if arguments.markdown is not None:
+            write(arguments.markdown, text.encode())
+        if arguments.plot is not None:
+            plots.errors_over_time(arguments.plot, plan.scenario, comparison.series)
+        store.clear()
+    except TaskError as error:
+        print(f"insdvl evaluate: {error}", file=sys.stderr)
+        return 1
+    except (ValueError, OSError) as error:
+        print(f"insdvl evaluate: {error}", file=sys.stderr)
+        return 2
+    print(text)
+    return 0
+
+
+def _plan(arguments: argparse.Namespace) -> Plan:
+    rows = ROWS if arguments.rows is None else tuple(arguments.rows.split(","))
+    check_names("--scenario", [arguments.scenario], SCENARIOS)
+    check_names("--preset", [arguments.preset], PRESETS)
+    if arguments.error_state:
+        check_names("--error-state", [arguments.error_state], ERROR_STATES)
+    check_names("--rows", rows, ROWS)
+    check_numbers(arguments)
+    if arguments.duration is not None and not 10.0 <= arguments.duration <= AUV.duration:
+        raise ValueError(
+            f"--duration must be within 10 to {AUV.duration:g} s, got {arguments.duration:g}"
+        )
+    rows = tuple(row for row in ROWS if row in rows)
+    if arguments.model is not None:
+        load_model(arguments.model)
+        rows += (f"{OWN_MODEL}{arguments.model}",)
+    return Plan(
+        scenario=arguments.scenario,
+        setting=Setting(arguments.preset, arguments.error_state, arguments.gate),
+        runs=arguments.runs,
+        tuning_runs=arguments.tuning_runs,
+        seed=arguments.seed,
+        rows=rows,
+        duration=arguments.duration,
+    )

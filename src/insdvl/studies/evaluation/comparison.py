@@ -1,0 +1,252 @@
+"""The comparison of all approaches in one scenario: searches, paired runs, ratios, intervals."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl.files import finite
+from insdvl.jobs.parallel import Pool, Store
+from insdvl.studies.evaluation import statistics
+from insdvl.studies.evaluation.approaches import (
+    BEST_CONSTANT,
+    BEST_CONSTANT_SRMSE,
+    BEST_XI,
+    FIRST_CONSTANT,
+    FLOORS,
+    ORACLE,
+    ROWS,
+    VARIATIONAL,
+    Approach,
+    Setting,
+    adaptives,
+    approach,
+    constants,
+    nominal,
+    unavailable,
+)
+from insdvl.studies.evaluation.monte_carlo import METRICS, Study, evaluate_run, numbered, tuning_run
+
+Array = NDArray[np.float64]
+
+#: A row that fails in more than this share of the runs is left out of the pairs: what it did in the
+#: runs that it survived says little, and it would take those runs from all others.
+MOST_FAILURES = 0.1
+MIN_RUNS = 2  # fewer have no interval
+_BOOTSTRAP = 2003  # key of the random stream
+RATIO_METRICS = ("body_rmse", "srmse")
+NEES = ("velocity", "attitude", "velocity_attitude", "bias", "position")
+_SEARCHED = (BEST_CONSTANT, BEST_CONSTANT_SRMSE, BEST_XI, VARIATIONAL)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is compared.
+
+    Attributes:
+        scenario: Key of `monte_carlo.PROFILES`.
+        setting: What the filters believe.
+        runs: Number of runs.
+        tuning_runs: Number of runs of a search, on seeds of their own.
+        seed: Of all that is random.
+        rows: Names in `ROWS`.
+        duration: Of a mission [s]; None for all of the trajectory.
+    """
+
+    scenario: str
+    setting: Setting
+    runs: int = 100
+    tuning_runs: int = 20
+    seed: int = 1
+    rows: tuple[str, ...] = ROWS
+    duration: float | None = None
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What came out.
+
+    Attributes:
+        document: JSON-able; the numbers of every row.
+        series: Of every row that a filter made: (R, K, 4), see `monte_carlo.SERIES`.
+    """
+
+    document: dict[str, Any]
+    series: Mapping[str, Array]
+
+
+def compare(plan: Plan, pool: Pool, store: Store | None = None) -> Comparison:
+    """Settle the searches, fold all runs, and sum up."""
+    omitted = unavailable(plan.rows)
+    rows = [row for row in plan.rows if row not in omitted]
+    study = Study(plan.scenario, plan.seed, plan.duration)
+    approaches, searches = _approaches(rows, plan, study, pool, store)
+
+    results = pool.run(
+        evaluate_run,
+        numbered(plan.runs),
+        shared=(study, tuple(approaches)),
+        store=store,
+        label=f"{plan.scenario}: runs",
+    )
+    scores = {
+        entry.name: np.array([result["scores"][i] for result in results])
+        for i, entry in enumerate(approaches)
+    }
+    for i, name in enumerate(FLOORS):
+        if name in rows:
+            scores[name] = np.array([result["floors"][i] for result in results])
+    scores = {row: scores[row] for row in rows}
+    document = {
+        "plan": asdict(plan) | {"rows": rows},
+        "omitted": omitted,
+        "searches": searches,
+        **summary(scores, np.random.default_rng(_stream(plan.seed))),
+    }
+    series = {
+        entry.name: np.array([result["series"][i] for result in results])
+        for i, entry in enumerate(approaches)
+        if entry.name in rows
+    }
+    return Comparison(document, series)
+
+
+def _stream(seed: int) -> np.random.SeedSequence:
+    return np.random.SeedSequence(seed, spawn_key=(_BOOTSTRAP,))
+
+
+# ---------------------------------------------------------------- searches
+
+
+def _approaches(
+    rows: Sequence[str], plan: Plan, study: Study, pool: Pool, store: Store | None
+) -> tuple[list[Approach], dict[str, Any]]:
+    """The approaches of the rows, and how those that are searched for were found."""
+    found: dict[str, Approach] = {}
+    searches: dict[str, Any] = {}
+    setting = plan.setting
+
+    def tried(candidates: Sequence[Approach], stage: str) -> Array:
+        """Mean errors (A, 2) of the candidates: RMSE of the body velocity, SRMSE."""
+        results = pool.run(
+            tuning_run,
+            numbered(plan.tuning_runs),
+            shared=(study, tuple(candidates)),
+            store=store,
+            label=f"{plan.scenario}: {stage}",
+        )
+        return np.mean([result["errors"] for result in results], axis=0)
+
+    def settle(row: str, candidates: Sequence[Approach], errors: Array, metric: int) -> Approach:
+        best = candidates[int(np.argmin(errors[:, metric]))]
+        found[row] = replace(best, name=row)
+        searches[row] = {
+            "best": best.name,
+            "candidates": {
+                candidate.name: [finite(float(value)) for value in values]
+                for candidate, values in zip(candidates, errors, strict=True)
+            },
+        }
+        return best
+
+    if any(row in _SEARCHED for row in rows):
+        coarse = constants(setting)
+        coarse_errors = tried(coarse, "constants, coarse")
+        for metric, row in enumerate((BEST_CONSTANT, BEST_CONSTANT_SRMSE)):
+            around = coarse[int(np.argmin(coarse_errors[:, metric]))]
+            fine = constants(setting, around)
+            settle(row, fine, tried(fine, f"{row}, fine"), metric)
+        for row, candidates in adaptives(setting, nominal(found[BEST_CONSTANT])).items():
+            if row in rows:
+                settle(row, candidates, tried(candidates, row), 0)
+    needed = [row for row in rows if row not in FLOORS]
+    if any(row in FLOORS for row in rows) and ORACLE not in needed:
+        needed.append(ORACLE)
+    return [found.get(row) or approach(row, setting) for row in needed], searches
+
+
+# ---------------------------------------------------------------- numbers
+
+
+def summary(scores: Mapping[str, Array], rng: np.random.Generator) -> dict[str, Any]:
+    """Means, medians, intervals and ratios of all rows.
+
+    Means and ratios are over the runs in which no row failed, those rows aside that fail in more
+    than a tenth of all runs; medians and failures are over all runs.
+
+    Args:
+        scores: (R, len(METRICS)) of each row.
+        rng: Of the bootstrap.
+    """
+    failure = METRICS.index("failed")
+    failures = {row: int(np.sum(values[:, failure])) for row, values in scores.items()}
+    n_runs = len(next(iter(scores.values())))
+    paired = {row for row, count in failures.items() if count <= MOST_FAILURES * n_runs}
+    whole = np.all([scores[row][:, failure] == 0.0 for row in paired], axis=0)
+    numbers: dict[str, Any] = {
+        "runs": n_runs,
+        "paired_runs": int(whole.sum()),
+        "rows": [],
+        "per_run": {
+            metric: {
+                row: [finite(float(f"{v:.6g}")) for v in values[:, METRICS.index(metric)]]
+                for row, values in scores.items()
+            }
+            for metric in RATIO_METRICS
+        },
+    }
+    draws = statistics.resamples(np.arange(whole.sum()), rng)
+
+    def column(row: str, metric: str) -> Array:
+        return scores[row][whole, METRICS.index(metric)]
+
+    references = {
+        label: row
+        for label, row in (
+            ("oracle", ORACLE),
+            ("best constant", BEST_CONSTANT),
+            ("best constant for SRMSE", BEST_CONSTANT_SRMSE),
+            ("first constant", FIRST_CONSTANT),
+            ("closed form", "closed form"),
+        )
+        if row in paired
+    }
+    for row, values in scores.items():
+        means: dict[str, Any] = dict.fromkeys(METRICS[:failure])
+        intervals: dict[str, Any] = {}
+        ratios: dict[str, Any] = {}
+        if row in paired:
+            for metric in METRICS[:failure]:
+                if np.isfinite(column(row, metric)).all():
+                    middle, low, high = statistics.mean(column(row, metric), draws)
+                    means[metric], intervals[metric] = middle, [low, high]
+            ratios = {
+                label: {
+                    metric: list(
+                        statistics.ratio_of_means(
+                            column(row, metric), column(reference, metric), draws
+                        )
+                    )
+                    for metric in RATIO_METRICS
+                }
+                for label, reference in references.items()
+            }
+        lost = values[:, failure] == 1.0  # worse than any number
+        medians = {
+            metric: finite(float(np.median(np.where(lost, np.inf, values[:, i]))))
+            for i, metric in enumerate(METRICS[:failure])
+        }
+        numbers["rows"].append(
+            {
+                "approach": row,
+                "failures": failures[row],
+                **{m: v for m, v in means.items() if not m.startswith("nees_")},
+                "nees_per_dof": {block: means[f"nees_{block}"] for block in NEES},
+                "interval": intervals,
+                "median": medians,
+                "ratio_to": ratios,
+            }
+        )
+    return numbers

@@ -1,0 +1,321 @@
+"""One run of the comparison: a mission, the same for all approaches, and the errors of each.
+
+A run has random streams of its own, made from the study's seed, the split and the number of the
+run: the mission's noise profile, noise and biases, and the initial error, which is drawn from the
+filter's P_0. Runs of the split `TUNING` settle what a search looks for; those of `TEST` are what is
+reported. Training draws from other streams.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from insdvl.navigation.error_state import (
+    ACCELEROMETER_BIAS,
+    ATTITUDE,
+    GYROSCOPE_BIAS,
+    POSITION,
+    body_velocity_jacobian,
+)
+from insdvl.navigation.events import NS, Dvl, Event, Initial, ProcessNoise
+from insdvl.navigation.parameters import FilterParameters, InitialParameters
+from insdvl.simulation.mission import Mission, simulate
+from insdvl.simulation.noise import SCENARIOS, ProfileFactory, segments
+from insdvl.simulation.trajectories import AUV
+from insdvl.studies.evaluation.approaches import ORACLE, Approach, estimator
+from insdvl.studies.evaluation.metrics import (
+    Track,
+    attitude_error,
+    autocorrelation,
+    nees,
+    normalised_innovations,
+    rmse,
+    scores,
+)
+from insdvl.timeline.fold import FoldResult, run
+from insdvl.tuner.offline import Estimator, tuned
+
+Array = NDArray[np.float64]
+Records = NDArray[np.void]
+
+#: Splits: first keys of the random streams.
+TEST, TUNING = 2000, 2001
+_INITIAL = 2002
+
+#: Noise profiles: the scenarios, and two for the study of window and rate.
+PROFILES: Mapping[str, ProfileFactory] = MappingProxyType(
+    {
+        **SCENARIOS,
+        "fast": segments(1e-3, 0.05, 2.0, 6.0),
+        "slow": segments(1e-3, 0.05, 60.0, 180.0),
+    }
+)
+
+#: What is kept of an approach in a run; nan where there is no such number.
+METRICS = (
+    "body_rmse",
+    "srmse",
+    "smae",
+    "heading_rmse_deg",
+    "tilt_rmse_deg",
+    "position_drift_percent",
+    "nees_velocity",
+    "nees_attitude",
+    "nees_velocity_attitude",
+    "nees_bias",
+    "nees_position",
+    "nis",
+    "innovation_autocorrelation",
+    "failed",
+)
+#: Kept of every second: squared errors of the body velocity [(m/s)^2] and of the heading [deg^2],
+#: each with the variance that the filter expects.
+SERIES = ("body_velocity", "body_velocity_variance", "heading", "heading_variance")
+
+FAILURE_SPEED = 5.0  # m/s: a body velocity error above it for FAILURE_TIME is a failure
+FAILURE_TIME = 10.0  # s
+RATE, MAX_GAP = 1.0, 0.1  # Hz, s: of the tuner, as by default
+_NEES_RATE = 4  # times a second, at and between the updates
+
+
+@dataclass(frozen=True)
+class Study:
+    """Missions of the AUV that are alike but for their random numbers.
+
+    Attributes:
+        scenario: Key of `PROFILES`.
+        seed: Of all runs.
+        duration: Shorter than the trajectory [s]; None for all of it.
+    """
+
+    scenario: str
+    seed: int
+    duration: float | None = None
+
+
+def numbered(runs: int) -> dict[str, int]:
+    """The numbers of so many runs, as tasks."""
+    return {f"{number}": number for number in range(runs)}
+
+
+def mission_of_run(study: Study, split: int, run: int) -> Mission:
+    """The mission that all approaches share in a run."""
+    stream = np.random.SeedSequence(study.seed, spawn_key=(split, run))
+    return simulate(AUV, PROFILES[study.scenario], seed=stream, duration=study.duration)
+
+
+def initial_of_run(mission: Mission, study: Study, split: int, run: int) -> Initial:
+    """What the filters start from: the truth and an error drawn from P_0."""
+    sigma = InitialParameters()
+    rng = np.random.default_rng(
+        np.random.SeedSequence(study.seed, spawn_key=(_INITIAL, split, run))
+    )
+    psi = rng.standard_normal(3) * sigma.attitude_std
+    truth = mission.initial
+    C_true = truth.C_n_b[0]
+    return Initial(
+        stamp_ns=mission.start_ns,
+        C_n_b=Rotation.from_rotvec(-psi).as_matrix() @ C_true,
+        p_n=truth.p_n[0] + sigma.position_std * rng.standard_normal(3),
+        v=C_true.T @ truth.v_n[0] + sigma.velocity_std * rng.standard_normal(3),
+        velocity_frame="body",
+    )
+
+
+class Run:
+    """A mission and what happens to every filter in it.
+
+    Attributes:
+        mission: In NED and forward-right-down.
+        truth: At the stamps of the IMU.
+    """
+
+    def __init__(self, study: Study, split: int, number: int) -> None:
+        self.mission = mission_of_run(study, split, number)
+        self.truth = track(self.mission.truth.C_n_b, self.mission.truth.v_n, self.mission.truth.p_n)
+        self._told: dict[str, tuple[NDArray[np.int64], Array]] = {}
+        initial = initial_of_run(self.mission, study, split, number)
+        pings = zip(self.mission.dvl_stamps_ns.tolist(), self.mission.v_d, strict=True)
+        self._events: list[Event] = [initial, *(Dvl(stamp_ns, v_d) for stamp_ns, v_d in pings)]
+
+    def fold(self, approach: Approach) -> FoldResult:
+        """The mission through a filter and whoever tells it its Q."""
+        if not approach.learner:
+            return self.fold_told(approach.parameters, np.empty(0, np.int64), np.empty((0, 6)))
+        if approach.learner not in self._told:
+            self._told[approach.learner] = self._variances(approach.learner)
+        return self.fold_told(approach.parameters, *self._told[approach.learner])
+
+    def fold_told(
+        self, parameters: FilterParameters, stamps_ns: NDArray[np.int64], variances: Array
+    ) -> FoldResult:
+        """The mission through a filter that is told these variances (K, 6) from stamps (K,) on."""
+        m = self.mission
+        told: list[Event] = [
+            ProcessNoise(stamp_ns, np.diag(q[:3]), np.diag(q[3:]))
+            for stamp_ns, q in zip(stamps_ns.tolist(), variances, strict=True)
+        ]
+        return run(parameters, m.stamps_ns, m.f_b, m.w_ib_b, self._events + told)
+
+    def learned(
+        self, estimate: Estimator, window: int, rate: float
+    ) -> tuple[NDArray[np.int64], Array]:
+        """What a tuner with this estimator tells: stamps (K,) and variances (K, 6)."""
+        m = self.mission
+        samples = np.hstack([m.f_b, m.w_ib_b])
+        return tuned(m.stamps_ns, samples, estimate, window, rate, round(MAX_GAP * NS))
+
+    def _variances(self, learner: str) -> tuple[NDArray[np.int64], Array]:
+        if learner == ORACLE:
+            return self.mission.process_noise()
+        return self.learned(*estimator(learner), RATE)
+
+
+def track(C_n_b: Array, v_n: Array, p_n: Array) -> Track:
+    """A track from the velocity in NED (N, 3)."""
+    return Track(C_n_b, np.einsum("kji,kj->ki", C_n_b, v_n), p_n)
+
+
+def track_of(states: Records) -> Track:
+    """The track of a filter's states (N,)."""
+    C_n_b, v_n, p_n = (np.ascontiguousarray(states[name]) for name in ("C_n_b", "v_n", "p_n"))
+    return track(C_n_b, v_n, p_n)
+
+
+def perfect_heading(result: Track, truth: Track) -> Track:
+    """A result whose error about the vertical is taken out of attitude and velocity."""
+    psi = attitude_error(result.C_n_b, truth.C_n_b)
+    psi[:, :2] = 0.0
+    return replace(result, C_n_b=Rotation.from_rotvec(psi).as_matrix() @ result.C_n_b)
+
+
+def failed(result: Track, truth: Track, rate: float) -> bool:
+    """Whether a result is not finite, or its body velocity was lost for `FAILURE_TIME`."""
+    if not all(np.isfinite(a).all() for a in (result.C_n_b, result.v_b, result.p_n)):
+        return True
+    lost = np.linalg.norm(result.v_b - truth.v_b, axis=1) > FAILURE_SPEED
+    ends = np.flatnonzero(np.diff(np.concatenate([[0], lost.astype(int), [0]])))
+    return bool((np.diff(ends)[::2] >= FAILURE_TIME * rate).any())
+
+
+def assess(fold: FoldResult, run: Run) -> tuple[Array, Array]:
+    """The metrics of a filter in a run, in the order of `METRICS`, and its series.
+
+    Returns:
+        (len(METRICS),) and (K, len(SERIES)) with K seconds; nan throughout, but for ``failed``,
+        where the filter has failed.
+    """
+    m, truth, s = run.mission, run.truth, fold.states
+    rate = fold.filter.parameters.imu.rate
+    step = round(rate) // _NEES_RATE
+    at = slice(step - 1, None, step)
+    seconds = slice(_NEES_RATE - 1, None, _NEES_RATE)  # of what is taken at those
+    series = np.full((len(s[at][seconds]), len(SERIES)), np.nan)
+    result = track_of(s)
+    if failed(result, truth, rate):
+        return _failure(), series
+    values = _errors(result, truth)
+
+    P = s["P"][at]
+    J = body_velocity_jacobian(
+        result.C_n_b[at], s["v_n"][at], invariant=fold.filter.invariant, n=fold.filter.n
+    )
+    J = np.concatenate([J, np.broadcast_to(np.eye(fold.filter.n)[ATTITUDE], J.shape)], axis=1)
+    P_va = J @ P @ np.swapaxes(J, 1, 2)
+    dv = (truth.v_b - result.v_b)[at]
+    psi = attitude_error(result.C_n_b[at], truth.C_n_b[at])
+    bias = m.bias[at] - np.hstack([s["b_f"][at], s["b_w"][at]])
+    biases = slice(ACCELEROMETER_BIAS.start, GYROSCOPE_BIAS.stop)
+    dp = (truth.p_n - result.p_n)[at]
+    for name, error, covariance in (
+        ("nees_velocity", dv, P_va[:, :3, :3]),
+        ("nees_attitude", psi, P_va[:, 3:, 3:]),
+        ("nees_velocity_attitude", np.hstack([dv, psi]), P_va),
+        ("nees_bias", bias, P[:, biases, biases]),
+        ("nees_position", dp, P[:, POSITION, POSITION]),
+    ):
+        values[name] = float(np.mean(nees(error, covariance))) / error.shape[1]
+
+    reports = [update.report for update in fold.updates if np.isfinite(update.report.nis)]
+    z = normalised_innovations(
+        np.array([r.innovation for r in reports]), np.array([r.S for r in reports])
+    )
+    values["nis"] = float(np.mean([r.nis for r in reports]))
+    values["innovation_autocorrelation"] = autocorrelation(z, 1)[0]
+
+    series[:, 0] = np.sum(dv[seconds] ** 2, axis=1)
+    series[:, 1] = np.trace(P_va[seconds, :3, :3], axis1=1, axis2=2)
+    series[:, 2] = np.degrees(psi[seconds, 2]) ** 2
+    series[:, 3] = np.degrees(np.degrees(P_va[seconds, 5, 5]))
+    return np.array([values.get(name, np.nan) for name in METRICS]), series
+
+
+def assess_track(result: Track, truth: Track) -> Array:
+    """The metrics of a result that has no covariance."""
+    values = _errors(result, truth)
+    return np.array([values.get(name, np.nan) for name in METRICS])
+
+
+def _errors(result: Track, truth: Track) -> dict[str, float]:
+    s = scores(result, truth)
+    return {
+        "body_rmse": s.body_velocity_rmse,
+        "srmse": s.srmse,
+        "smae": s.smae,
+        "heading_rmse_deg": s.heading_rmse_deg,
+        "tilt_rmse_deg": s.tilt_rmse_deg,
+        "position_drift_percent": s.position_drift_percent,
+        "failed": 0.0,
+    }
+
+
+def _failure() -> Array:
+    values = np.full(len(METRICS), np.nan)
+    values[METRICS.index("failed")] = 1.0
+    return values
+
+
+def evaluate_run(shared: tuple[Study, Sequence[Approach]], number: int) -> dict[str, Array]:
+    """A run of the split `TEST` through all approaches.
+
+    Returns:
+        ``scores`` (A, len(METRICS)) and ``series`` (A, K, len(SERIES)) of the A approaches, and
+        ``floors`` (2, len(METRICS)) of the rows `FLOORS`, the oracle being among the approaches.
+    """
+    study, approaches = shared
+    run = Run(study, TEST, number)
+    truth = run.truth
+    assessed = []
+    floors = [assess_track(replace(truth, v_b=np.zeros_like(truth.v_b)), truth), _failure()]
+    for approach in approaches:
+        fold = run.fold(approach)
+        assessed.append(assess(fold, run))
+        if approach.learner == ORACLE:
+            floors[1] = assess_track(perfect_heading(track_of(fold.states), truth), truth)
+    return {
+        "scores": np.array([values for values, _ in assessed]),
+        "series": np.array([series for _, series in assessed]),
+        "floors": np.array(floors),
+    }
+
+
+def tuning_run(shared: tuple[Study, Sequence[Approach]], number: int) -> dict[str, Array]:
+    """A run of the split `TUNING` through all candidates.
+
+    Returns:
+        ``errors`` (A, 2): RMSE of the body velocity and SRMSE [m/s]; inf for a failure.
+    """
+    study, approaches = shared
+    run = Run(study, TUNING, number)
+    rows = []
+    for approach in approaches:
+        result, truth = track_of(run.fold(approach).states), run.truth
+        if failed(result, truth, approach.parameters.imu.rate):
+            rows.append((np.inf, np.inf))
+        else:
+            rows.append((rmse(truth.v_b - result.v_b), rmse(truth.v_n - result.v_n)))
+    return {"errors": np.array(rows)}

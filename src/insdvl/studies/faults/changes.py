@@ -1,0 +1,380 @@
+"""Faults as changes of a stream of messages.
+
+Each function makes a change, ``change(stream, rng) -> stream``, whose messages say whether they are
+still valid. Times are seconds from the start of the mission.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl.navigation.events import NS
+from insdvl.recordings import bags
+from insdvl.studies.faults.link import RelayParameters, links
+from insdvl.studies.faults.stream import DVL, DVL_COVARIANCE, IMU, Arrival, Epoch, Stream
+
+Array = NDArray[np.float64]
+Change = Callable[[Stream, np.random.Generator], Stream]
+Edit = Callable[[Any], Any]
+
+#: Fields of the two triads of an Imu.
+FORCE, RATE = "linear_acceleration", "angular_velocity"
+
+
+# ---------------------------------------------------------------- messages
+
+
+def stamped(sec: int, nanosec: int) -> Edit:
+    """A message with another stamp, sensible or not."""
+
+    def edit(message: Any) -> Any:
+        stamp = replace(message.header.stamp, sec=sec, nanosec=nanosec)
+        return replace(message, header=replace(message.header, stamp=stamp))
+
+    return edit
+
+
+def shifted(shift_ns: int) -> Edit:
+    """A message whose stamp is later by a time [ns]."""
+
+    def edit(message: Any) -> Any:
+        stamp = message.header.stamp
+        stamp_ns = stamp.sec * NS + stamp.nanosec + shift_ns
+        return stamped(stamp_ns // NS, stamp_ns % NS)(message)
+
+    return edit
+
+
+def framed(frame_id: str) -> Edit:
+    """A message of another frame."""
+    return lambda message: replace(message, header=replace(message.header, frame_id=frame_id))
+
+
+def triad(name: str, change: Callable[[Array], Array]) -> Edit:
+    """An Imu with one of its vectors (3,) changed."""
+
+    def edit(message: Any) -> Any:
+        field = getattr(message, name)
+        vector = change(np.array([field.x, field.y, field.z]))
+        return replace(message, **{name: bags.vector_message(vector)})
+
+    return edit
+
+
+def velocity(change: Callable[[Array], Array]) -> Edit:
+    """A TwistStamped with its linear velocity (3,) changed."""
+
+    def edit(message: Any) -> Any:
+        field = message.twist.linear
+        vector = change(np.array([field.x, field.y, field.z]))
+        return replace(message, twist=replace(message.twist, linear=bags.vector_message(vector)))
+
+    return edit
+
+
+def covariance(Q: Array) -> Edit:
+    """An Imu with this covariance (3, 3) of both triads."""
+    fields = {f"{name}_covariance": Q.ravel() for name in (FORCE, RATE)}
+    return lambda message: replace(message, **fields)
+
+
+def axis(k: int, value: float) -> Callable[[Array], Array]:
+    """A vector whose component k is a value."""
+
+    def change(vector: Array) -> Array:
+        vector[k] = value
+        return vector
+
+    return change
+
+
+# ---------------------------------------------------------------- changes
+
+
+def unchanged(stream: Stream, rng: np.random.Generator) -> Stream:
+    """No fault."""
+    return stream
+
+
+def edited(
+    topic: str, begin: float, end: float, edit: Edit, *, share: float = 1.0, valid: bool = False
+) -> Change:
+    """Messages of a topic within [begin, end) are changed, all of them or a random share."""
+
+    def change(stream: Stream, rng: np.random.Generator) -> Stream:
+        def each(arrival: Arrival) -> Iterator[Arrival]:
+            inside = _inside(stream, arrival, topic, begin, end)
+            if inside and (share == 1.0 or rng.random() < share):
+                arrival = arrival._replace(message=edit(arrival.message), valid=valid)
+            yield arrival
+
+        return stream.changed(each)
+
+    return change
+
+
+def added(
+    topic: str,
+    begin: float,
+    end: float,
+    edit: Edit,
+    *,
+    share: float = 1.0,
+    onto: str | None = None,
+    first: bool = False,
+) -> Change:
+    """Beside messages of a topic within [begin, end) there is a changed copy, which is not valid.
+
+    Args:
+        topic: Of the messages.
+        begin: [s].
+        end: [s].
+        edit: Of the copy.
+        share: Part of the messages that are copied, at random.
+        onto: Topic of the copies, if it is another.
+        first: Whether the copy comes before the message.
+    """
+
+    def change(stream: Stream, rng: np.random.Generator) -> Stream:
+        def each(arrival: Arrival) -> Iterator[Arrival]:
+            inside = _inside(stream, arrival, topic, begin, end)
+            if inside and (share == 1.0 or rng.random() < share):
+                copy = Arrival(arrival.time_ns, onto or topic, edit(arrival.message), valid=False)
+                yield from (copy, arrival) if first else (arrival, copy)
+            else:
+                yield arrival
+
+        return stream.changed(each)
+
+    return change
+
+
+def dropped(topic: str, begin: float, end: float) -> Change:
+    """Messages of a topic within [begin, end) do not come."""
+
+    def change(stream: Stream, rng: np.random.Generator) -> Stream:
+        return stream.changed(lambda a: () if _inside(stream, a, topic, begin, end) else (a,))
+
+    return change
+
+
+def held(topic: str, begin: float, end: float) -> Change:
+    """A sensor repeats within [begin, end) what it last said before, under new stamps."""
+
+    def change(stream: Stream, rng: np.random.Generator) -> Stream:
+        last: Any = None
+
+        def each(arrival: Arrival) -> Iterator[Arrival]:
+            nonlocal last
+            if _inside(stream, arrival, topic, begin, end):
+                stale = replace(last, header=arrival.message.header)
+                arrival = arrival._replace(message=stale, valid=False)
+            elif arrival.topic == topic:
+                last = arrival.message
+            yield arrival
+
+        return stream.changed(each)
+
+    return change
+
+
+def frozen(name: str, k: int, begin: float, end: float) -> Change:
+    """Component k of a triad keeps its value within [begin, end)."""
+
+    def change(stream: Stream, rng: np.random.Generator) -> Stream:
+        inside = (a for a in stream.arrivals if _inside(stream, a, IMU, begin, end))
+        field = getattr(next(inside).message, name)
+        value = (field.x, field.y, field.z)[k]
+        return edited(IMU, begin, end, triad(name, axis(k, value)), valid=True)(stream, rng)
+
+    return change
+
+
+def clipped(name: str, k: int, limit: float, begin: float, end: float, push: float) -> Change:
+    """Component k of a triad reads too much by a push, and ends at plus or minus its limit."""
+
+    def clip(vector: Array) -> Array:
+        vector[k] = np.clip(vector[k] + push, -limit, limit)
+        return vector
+
+    return edited(IMU, begin, end, triad(name, clip), valid=True)
+
+
+def outliers(begin: float, end: float, size: float) -> Change:
+    """The DVL is off by a vector of this length within [begin, end), of a new direction each."""
+
+    def change(stream: Stream, rng: np.random.Generator) -> Stream:
+        def off(vector: Array) -> Array:
+            direction = rng.standard_normal(3)
+            return vector + size * direction / np.linalg.norm(direction)
+
+        return edited(DVL, begin, end, velocity(off))(stream, rng)
+
+    return change
+
+
+def second_publisher(
+    begin: float, end: float, delay: float, onto: str, decimals: int | None = None
+) -> Change:
+    """A second driver publishes the same DVL measurement again.
+
+    Args:
+        begin: [s].
+        end: [s].
+        delay: Its stamps are later by this [s].
+        onto: Its topic; the one with a covariance takes a message of that type.
+        decimals: To which it rounds the velocity [m/s], if it does.
+    """
+
+    def again(message: Any) -> Any:
+        if decimals is not None:
+            message = velocity(lambda v: v.round(decimals))(message)
+        if onto == DVL_COVARIANCE:
+            v = message.twist.linear
+            stamp = message.header.stamp
+            message = bags.twist_message(
+                stamp.sec * NS + stamp.nanosec,
+                message.header.frame_id,
+                np.array([v.x, v.y, v.z]),
+                0.01 * np.eye(3),
+            )
+        return shifted(round(delay * NS))(message)
+
+    return added(DVL, begin, end, again, onto=onto)
+
+
+def with_covariance(covariance: Array) -> Edit:
+    """A TwistWithCovarianceStamped with a covariance of any size, from a TwistStamped."""
+
+    def edit(message: Any) -> Any:
+        v, stamp = message.twist.linear, message.header.stamp
+        made = bags.twist_message(
+            stamp.sec * NS + stamp.nanosec,
+            message.header.frame_id,
+            np.array([v.x, v.y, v.z]),
+            np.eye(3),
+        )
+        return replace(made, twist=replace(made.twist, covariance=covariance))
+
+    return edit
+
+
+def late(topic: str, begin: float, end: float, delay: float, share: float) -> Change:
+    """A random share of messages within [begin, end) arrives late by a time [s]."""
+
+    def change(stream: Stream, rng: np.random.Generator) -> Stream:
+        def each(arrival: Arrival) -> Iterator[Arrival]:
+            if _inside(stream, arrival, topic, begin, end) and rng.random() < share:
+                arrival = arrival._replace(time_ns=arrival.time_ns + round(delay * NS))
+            yield arrival
+
+        return stream.changed(each)
+
+    return change
+
+
+def invalid_when_late(topic: str, begin: float, end: float, delay: float, share: float) -> Change:
+    """As `late`, by more than anyone waits for."""
+
+    def change(stream: Stream, rng: np.random.Generator) -> Stream:
+        moved = late(topic, begin, end, delay, share)(stream, rng)
+        return moved.changed(
+            lambda a: (
+                (a._replace(valid=a.time_ns == _stamp_ns(a.message)),) if a.topic == topic else (a,)
+            )
+        )
+
+    return change
+
+
+def network(
+    loss: float = 0.0, duplication: float = 0.0, delay: float = 0.0, jitter: float = 0.0
+) -> Change:
+    """Everything goes through a bad link, from the beginning to the end."""
+
+    def change(stream: Stream, rng: np.random.Generator) -> Stream:
+        topics = tuple(sorted({arrival.topic for arrival in stream.arrivals}))
+        parameters = RelayParameters(
+            topics=topics,
+            loss=loss,
+            duplication=duplication,
+            delay=delay,
+            jitter=jitter,
+            seed=int(rng.integers(2**31)),
+        )
+        link = links(parameters)
+
+        def each(arrival: Arrival) -> Iterator[Arrival]:
+            for k, wait in enumerate(link[arrival.topic].delays()):
+                time_ns = arrival.time_ns + round(wait * NS)
+                yield arrival._replace(time_ns=time_ns, valid=k == 0)
+
+        return stream.changed(each)
+
+    return change
+
+
+def clock_step(at: float, step: float) -> Change:
+    """The clock of the stamps is set at a time, ahead or back [s] of what it is then."""
+
+    def change(stream: Stream, rng: np.random.Generator) -> Stream:
+        step_ns, begin_ns = round(step * NS), stream.mission.start_ns + round(at * NS)
+
+        def each(arrival: Arrival) -> Iterator[Arrival]:
+            if arrival.time_ns >= begin_ns:
+                arrival = arrival._replace(message=shifted(step_ns)(arrival.message))
+            yield arrival
+
+        moved = stream.changed(each)
+        epoch = Epoch(begin_ns, stamp_ns=stream.epochs[-1].stamp_ns + step_ns)
+        return replace(moved, epochs=(*stream.epochs, epoch))
+
+    return change
+
+
+def played_again(length: float) -> Change:
+    """A recording of this length [s] that starts over when it is at its end."""
+
+    def change(stream: Stream, rng: np.random.Generator) -> Stream:
+        length_ns = round(length * NS)
+        once = [a for a in stream.arrivals if stream.seconds(a) <= length]
+        again = [a._replace(time_ns=a.time_ns + length_ns) for a in once]
+        epoch = Epoch(stream.mission.start_ns + length_ns + 1, -length_ns, -length_ns)
+        return replace(stream, arrivals=(*once, *again), epochs=(*stream.epochs, epoch))
+
+    return change
+
+
+def unpublished(begin: float, end: float, topics: Sequence[str]) -> Change:
+    """No output is expected of messages of these topics that come within [begin, end)."""
+
+    def change(stream: Stream, rng: np.random.Generator) -> Stream:
+        def each(arrival: Arrival) -> Iterator[Arrival]:
+            touched = any(_inside(stream, arrival, topic, begin, end) for topic in topics)
+            yield arrival._replace(valid=arrival.valid and not touched)
+
+        return stream.changed(each)
+
+    return change
+
+
+def all_of(*changes: Change) -> Change:
+    """Several changes, one after the other."""
+
+    def change(stream: Stream, rng: np.random.Generator) -> Stream:
+        for each in changes:
+            stream = each(stream, rng)
+        return stream
+
+    return change
+
+
+def _inside(stream: Stream, arrival: Arrival, topic: str, begin: float, end: float) -> bool:
+    return arrival.topic == topic and begin <= stream.seconds(arrival) < end
+
+
+def _stamp_ns(message: Any) -> int:
+    return int(message.header.stamp.sec) * NS + int(message.header.stamp.nanosec)

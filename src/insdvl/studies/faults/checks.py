@@ -1,0 +1,279 @@
+"""What is expected of the filter under a fault, as checks that a machine can make.
+
+A check looks at all seeds of a row: the flight with the fault beside the one without.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl.navigation.events import NS
+from insdvl.studies.faults.flight import Flight
+
+Array = NDArray[np.float64]
+
+SETTLE = 10.0  # s after the end of a fault, until its consequences should be over
+AFTER = 30.0  # s from then on that are looked at
+CLOSE = 0.05  # m/s: recovered is who is as close as that to the flight without the fault
+MAX_SIGMAS = 3.0
+# The largest of a row. An axis of a Gaussian error that forgets itself in tau passes +-z sigma at a
+# rate of 2 z phi(z) / tau. With nine such (3 axes, 3 seeds) of 150 s and tau = 1 s, of a hundred
+# rows two have one beyond 5 sigma by chance, and beyond 6 one in a hundred such tables has any.
+LARGEST_SIGMAS = 6.0
+
+
+class Pair(NamedTuple):
+    """One seed of a row.
+
+    Attributes:
+        flight: With the fault.
+        calm: Without.
+        begin_ns: Beginning of the fault, on the clock of arrival.
+        end_ns: Its end.
+    """
+
+    flight: Flight
+    calm: Flight
+    begin_ns: int
+    end_ns: int
+
+    @property
+    def after_ns(self) -> tuple[int, int]:
+        """The time in which the consequences should be over."""
+        begin_ns = self.end_ns + round(SETTLE * NS)
+        return begin_ns, begin_ns + round(AFTER * NS)
+
+    def recovery(self) -> float | None:
+        """Time from the fault's end until the velocity stays `CLOSE` to the calm flight's [s].
+
+        None where it does not, or where nothing comes any more.
+        """
+        until_ns = self.after_ns[1]
+        _, a, b = np.intersect1d(self.flight.times_ns, self.calm.times_ns, return_indices=True)
+        times_ns = self.flight.times_ns[a]
+        inside = (times_ns >= self.end_ns) & (times_ns < until_ns)
+        if not inside.any():
+            return None
+        difference = np.linalg.norm(self.flight.v_b[a] - self.calm.v_b[b], axis=1)[inside]
+        times_ns = times_ns[inside]
+        far = np.flatnonzero(difference >= CLOSE)
+        if far.size == 0:
+            return 0.0
+        if far[-1] == times_ns.size - 1:
+            return None
+        return float(times_ns[far[-1] + 1] - self.end_ns) / NS
+
+
+Pairs = Sequence[Pair]
+
+
+@dataclass(frozen=True)
+class Check:
+    """An expectation.
+
+    Attributes:
+        text: In words.
+        judge: What is seen, in words, and whether it is as expected.
+    """
+
+    text: str
+    judge: Callable[[Pairs], tuple[str, bool]]
+
+
+def _range(values: Sequence[float], form: str) -> str:
+    low, high = format(min(values), form), format(max(values), form)
+    return low if low == high else f"{low} to {high}"
+
+
+def same_bits() -> Check:
+    """What is published is what is published without the fault, to the bit."""
+
+    def judge(pairs: Pairs) -> tuple[str, bool]:
+        same = [pair.flight.digest == pair.calm.digest for pair in pairs]
+        return ("equal" if all(same) else f"equal in {sum(same)} of {len(same)}"), all(same)
+
+    return Check("output equal to the bit to that without the fault", judge)
+
+
+def refused(reason: str, *topics: str) -> Check:
+    """Every message that the fault touched is refused for this reason, and no other message is.
+
+    Args:
+        reason: The reason.
+        topics: That the fault touches.
+    """
+    keys = [f"{topic}: {reason}" for topic in topics]
+
+    def judge(pairs: Pairs) -> tuple[str, bool]:
+        counts = [sum(pair.flight.refused.get(key, 0) for key in keys) for pair in pairs]
+        touched = [sum(pair.flight.faulted.get(topic, 0) for topic in topics) for pair in pairs]
+        others: Counter[str] = Counter()
+        for pair in pairs:
+            others.update({k: n for k, n in pair.flight.refused.items() if k not in keys})
+        text = f"`{reason}` {_range(counts, 'd')} of {_range(touched, 'd')}"
+        if others:
+            text += ", also " + ", ".join(f"{name} {n}" for name, n in sorted(others.items()))
+        return text, counts == touched and min(touched) > 0 and not others
+
+    return Check(f"each counted as `{reason}`, nothing else refused", judge)
+
+
+def nothing_refused() -> Check:
+    """No message is refused, or all that were are recovered."""
+
+    def judge(pairs: Pairs) -> tuple[str, bool]:
+        names = sorted({name for pair in pairs for name in pair.flight.refused})
+        recovered = [pair.flight.counts.get("recovered", 0) for pair in pairs]
+        kept = all(
+            sum(pair.flight.refused.values()) == count
+            for pair, count in zip(pairs, recovered, strict=True)
+        )
+        text = "refused: " + (", ".join(names) or "nothing")
+        return (f"{text}, all recovered" if names and kept else text), kept
+
+    return Check("no message refused for good", judge)
+
+
+def update_reason(reason: str, share: float = 1.0, *, topic: str = "dvl/velocity") -> Check:
+    """At least a share of the DVL measurements that the fault touched are refused so."""
+
+    def judge(pairs: Pairs) -> tuple[str, bool]:
+        counts = [
+            sum(
+                why == reason and pair.begin_ns <= stamp_ns < pair.end_ns
+                for _, stamp_ns, why in pair.flight.updates
+            )
+            for pair in pairs
+        ]
+        touched = [pair.flight.faulted.get(topic, 0) for pair in pairs]
+        enough = all(n >= share * m and m > 0 for n, m in zip(counts, touched, strict=True))
+        return f"`{reason}` {_range(counts, 'd')} of {_range(touched, 'd')}", enough
+
+    portion = "all" if share == 1.0 else f"at least {100.0 * share:g} %"
+    return Check(f"{portion} refused as `{reason}`", judge)
+
+
+def counter(name: str, low: int, high: int | None = None) -> Check:
+    """A counter of the fold is within a range at the end."""
+    high = low if high is None else high
+
+    def judge(pairs: Pairs) -> tuple[str, bool]:
+        counts = [pair.flight.counts.get(name, 0) for pair in pairs]
+        return f"{name} {_range(counts, 'd')}", all(low <= n <= high for n in counts)
+
+    return Check(f"{name} {low}" if low == high else f"{name} {low} to {high}", judge)
+
+
+def covered(least: float = 0.95) -> Check:
+    """From the fault's beginning to the end of what is looked at, the sigma tells the error."""
+
+    def judge(pairs: Pairs) -> tuple[str, bool]:
+        ratios = np.concatenate(
+            [
+                (np.abs(pair.flight.error) / pair.flight.sigma)[
+                    pair.flight.inside(pair.begin_ns, pair.after_ns[1])
+                ]
+                for pair in pairs
+            ]
+        )
+        if ratios.size == 0:
+            return "no output", False
+        share = float(np.mean(ratios <= MAX_SIGMAS))
+        text = f"{100.0 * share:.1f} % within {MAX_SIGMAS:g} σ, largest {ratios.max():.1f} σ"
+        return text, share >= least and float(ratios.max()) <= LARGEST_SIGMAS
+
+    expected = f"{100.0 * least:g} % of the errors within {MAX_SIGMAS:g} σ"
+    return Check(f"{expected}, none beyond {LARGEST_SIGMAS:g} σ", judge)
+
+
+def recovers(within: float) -> Check:
+    """The velocity is back at that of the flight without the fault."""
+
+    def judge(pairs: Pairs) -> tuple[str, bool]:
+        times = [pair.recovery() for pair in pairs]
+        known = [time for time in times if time is not None]
+        text = f"back after {_range(known, '.1f')} s" if known else "not back"
+        if known and len(known) < len(times):
+            text += f", {len(times) - len(known)} not"
+        return text, len(known) == len(times) and max(known) <= within
+
+    return Check(f"back within {within:g} s", judge)
+
+
+def error_below(limit: float) -> Check:
+    """No velocity error above a limit from the fault's beginning on."""
+
+    def judge(pairs: Pairs) -> tuple[str, bool]:
+        errors = [
+            np.linalg.norm(pair.flight.error, axis=1)[
+                pair.flight.inside(pair.begin_ns, pair.after_ns[1])
+            ]
+            for pair in pairs
+        ]
+        largest = max((float(e.max()) for e in errors if e.size), default=float("nan"))
+        return f"largest error {largest:.2f} m/s", largest < limit
+
+    return Check(f"error below {limit:g} m/s", judge)
+
+
+def rejoins() -> Check:
+    """The gate does not lock out: the last measurements of what is looked at are used."""
+
+    def judge(pairs: Pairs) -> tuple[str, bool]:
+        shares = []
+        for pair in pairs:
+            begin_ns, end_ns = pair.after_ns
+            used = [not why for t, _, why in pair.flight.updates if begin_ns <= t < end_ns]
+            shares.append(float(np.mean(used)) if used else 0.0)
+        return f"{100.0 * min(shares):.0f} % of the DVL used afterwards", min(shares) >= 0.9
+
+    return Check("DVL used again afterwards", judge)
+
+
+def used(least: int) -> Check:
+    """At least so many DVL measurements of the time of the fault are used."""
+
+    def judge(pairs: Pairs) -> tuple[str, bool]:
+        counts = [
+            sum(not why and p.begin_ns <= t < p.end_ns for t, _, why in p.flight.updates)
+            for p in pairs
+        ]
+        return f"{_range(counts, 'd')} used", min(counts) >= least
+
+    return Check(f"at least {least} DVL measurements used during it", judge)
+
+
+def stops() -> Check:
+    """Nothing is published from the fault's beginning on."""
+
+    def judge(pairs: Pairs) -> tuple[str, bool]:
+        outputs = sum(int((pair.flight.times_ns >= pair.begin_ns).sum()) for pair in pairs)
+        return f"{outputs} outputs afterwards", outputs == 0
+
+    return Check("nothing published afterwards", judge)
+
+
+def always() -> tuple[Check, ...]:
+    """What holds under every fault."""
+
+    def invariant(text: str, name: str) -> Check:
+        def judge(pairs: Pairs) -> tuple[str, bool]:
+            wrong = sum(not getattr(pair.flight, name) for pair in pairs)
+            return (text if wrong == 0 else f"not {text}: {wrong} of {len(pairs)}"), wrong == 0
+
+        return Check(text, judge)
+
+    def lost(pairs: Pairs) -> tuple[str, bool]:
+        counts = [pair.flight.lost for pair in pairs]
+        return f"valid messages lost: {_range(counts, 'd')}", not any(counts)
+
+    return (
+        invariant("output finite", "finite"),
+        invariant("covariance symmetric positive definite", "positive"),
+        invariant("stamps rising", "monotonic"),
+        Check("no valid message lost", lost),
+    )

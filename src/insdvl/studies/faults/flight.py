@@ -1,0 +1,255 @@
+"""A stream of messages through the filter, as its node takes them, and what came out."""
+
+import hashlib
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from insdvl.messages import convert as messages
+from insdvl.messages.convert import RejectedMessage
+from insdvl.messages.inputs import Inputs
+from insdvl.navigation.events import NS
+from insdvl.navigation.geometry.frames import ENU, rpy_from_rotation
+from insdvl.navigation.odometry import Odometry
+from insdvl.navigation.parameters import FilterParameters, InitialParameters
+from insdvl.parameters.declaration import build
+from insdvl.simulation.mission import Mission
+from insdvl.studies.faults.stream import DVL, IMU, Arrival, Sensors, Stream, learned_from
+from insdvl.timeline.fold import AppliedUpdate, Fold, TimeJump
+from insdvl.tuner.tuner import Tuner
+
+Array = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+_COVARIANCE_EVERY_NS = NS // 10  # of stamps, between two looks at the whole covariance
+
+
+@dataclass(frozen=True)
+class Flight:
+    """What the filter published of a stream, against the truth.
+
+    Attributes:
+        times_ns: (N,) time of arrival that each published stamp stands for.
+        truth_ns: (N,) time of the mission that it stands for.
+        v_b: (N, 3) published body velocity [m/s], stream axes.
+        error: (N, 3) its error.
+        sigma: (N, 3) its standard deviation.
+        digest: Of all published odometry but its stamps, to the bit.
+        updates: Time of arrival, stamp and reason of every DVL update; the reason of an accepted
+            one is empty.
+        refused: Messages that were not used, by ``topic: reason``.
+        counts: Counters of the fold at the end.
+        lost: Valid messages that are in no output.
+        faulted: Messages that are not valid, by topic.
+        finite: Whether every number that was published is.
+        positive: Whether the covariance of the error state was symmetric and positive throughout.
+        monotonic: Whether published stamps rise, but for the beginnings of epochs.
+    """
+
+    times_ns: Stamps
+    truth_ns: Stamps
+    v_b: Array
+    error: Array
+    sigma: Array
+    digest: str
+    updates: list[tuple[int, int, str]]
+    refused: dict[str, int]
+    counts: dict[str, int]
+    lost: int
+    faulted: dict[str, int]
+    finite: bool
+    positive: bool
+    monotonic: bool
+
+    def inside(self, begin_ns: int, end_ns: int) -> NDArray[np.bool_]:
+        """Which outputs are of times of arrival within [begin, end)."""
+        return (self.times_ns >= begin_ns) & (self.times_ns < end_ns)
+
+
+def parameters_of(
+    mission: Mission, sensors: Sensors, seed: int, changes: Mapping[str, Any]
+) -> FilterParameters:
+    """Parameters that fit the mission; the initial state is true but for an error drawn from P_0.
+
+    Args:
+        mission: What is to be navigated.
+        sensors: With what.
+        seed: Of the error.
+        changes: Names and values on top.
+    """
+    sigma, rng = InitialParameters(), np.random.default_rng([seed, 2])
+    truth = mission.truth
+    psi = rng.normal(0.0, sigma.attitude_std)
+    C_n_b = Rotation.from_rotvec(-psi).as_matrix() @ truth.C_n_b[0]
+    v_b = truth.C_n_b[0].T @ truth.v_n[0] + rng.normal(0.0, sigma.velocity_std, 3)
+    force, turn = sensors.variances
+    values = {
+        "imu.rate": sensors.rate,
+        "process_noise.accelerometer_variance": (force,) * 3,
+        "process_noise.gyroscope_variance": (turn,) * 3,
+        "initial.rpy": tuple(rpy_from_rotation(ENU.attitude(C_n_b)).tolist()),
+        "initial.velocity": tuple((ENU.body @ v_b).tolist()),
+        "origin.height": -5.0,
+    }
+    return build(FilterParameters, values | dict(changes))
+
+
+def fly(stream: Stream, parameters: FilterParameters, tuner: Tuner | None = None) -> Flight:
+    """Give every message to the filter when it arrives, and take what it publishes.
+
+    Args:
+        stream: The messages.
+        parameters: Of the filter.
+        tuner: Tells the process noise that it learns from the same messages of the IMU.
+    """
+    fold, inputs = Fold(parameters), Inputs(parameters)
+    out = _Outputs(stream)
+    refused: Counter[str] = Counter()
+    arrivals = stream.arrivals if tuner is None else _with_learned(stream.arrivals, tuner)
+    for time_ns, topic, message, _ in arrivals:
+        if topic not in inputs.topics:
+            continue
+        try:
+            for event in inputs.events(topic, message, fold):
+                refusal = fold.add(event)
+                if refusal is not None:
+                    refused[f"{topic}: {refusal}"] += 1
+        except RejectedMessage as rejection:
+            refused[f"{topic}: {rejection.reason}"] += 1
+        for output in fold.take():
+            if isinstance(output, AppliedUpdate):
+                reason = "" if output.report.accepted else output.report.reason
+                out.updates.append((time_ns, output.stamp_ns, reason))
+            elif isinstance(output, TimeJump):
+                inputs.reset()
+            else:
+                out.add(output, time_ns, fold)
+    return out.flight(parameters, dict(refused), fold.counts)
+
+
+def _with_learned(arrivals: Iterable[Arrival], tuner: Tuner) -> Iterator[Arrival]:
+    """Messages, and the process noise that a tuner learns from those of the IMU."""
+    for arrival in arrivals:
+        yield arrival
+        if arrival.topic == IMU and (learned := learned_from(arrival, tuner)):
+            yield learned
+
+
+class _Outputs:
+    """Collects what is published."""
+
+    def __init__(self, stream: Stream) -> None:
+        self.stream = stream
+        self.updates: list[tuple[int, int, str]] = []
+        self.rows: list[tuple[int, int, Array, Array]] = []
+        self.digest = hashlib.sha256()
+        self.finite = self.positive = self.monotonic = True
+        self.epochs: list[int] = []
+        self.stamps: Counter[int] = Counter()
+        self.newest_ns: int | None = None
+        self.looked_ns = -NS
+
+    def add(self, output: Odometry, now_ns: int, fold: Fold) -> None:
+        numbers = np.concatenate(
+            [
+                output.position,
+                output.quaternion_xyzw,
+                output.twist_linear,
+                output.twist_angular,
+                output.pose_covariance.ravel(),
+                output.twist_covariance.ravel(),
+            ]
+        )
+        self.digest.update(numbers.tobytes())
+        self.finite &= bool(np.isfinite(numbers).all())
+        if abs(output.stamp_ns - self.looked_ns) >= _COVARIANCE_EVERY_NS:
+            self.looked_ns = output.stamp_ns
+            self.positive &= _positive(fold.latest["P"])  # type: ignore[index]
+        self.stamps[output.stamp_ns] += 1
+        k = self.stream.epoch_of(output.stamp_ns, now_ns)
+        if k is None:  # a stamp of no time at all
+            self.monotonic = False
+            return
+        same = bool(self.epochs) and self.epochs[-1] == k
+        if same and self.newest_ns is not None and output.stamp_ns <= self.newest_ns:
+            self.monotonic = False
+        self.newest_ns = output.stamp_ns
+        self.epochs.append(k)
+        epoch = self.stream.epochs[k]
+        time_ns = output.stamp_ns - epoch.stamp_ns
+        sigma = np.sqrt(np.diag(output.twist_covariance)[:3])
+        self.rows.append((time_ns, time_ns + epoch.truth_ns, output.twist_linear, sigma))
+
+    def flight(
+        self, parameters: FilterParameters, refused: dict[str, int], counts: dict[str, int]
+    ) -> Flight:
+        """All of it, against the truth."""
+        times, truths, velocities, sigmas = zip(*self.rows, strict=True)
+        truth_ns, v_b = np.array(truths, dtype=np.int64), np.array(velocities)
+        mission = self.stream.mission
+        k = np.searchsorted(mission.stamps_ns, truth_ns)
+        if not np.array_equal(mission.stamps_ns[k], truth_ns):
+            raise ValueError("an output is of no stamp of the mission")
+        true_v_b = np.einsum("kji,kj->ki", mission.truth.C_n_b[k], mission.truth.v_n[k]) @ ENU.body
+        faulted = Counter(a.topic for a in self.stream.arrivals if not a.valid)
+        return Flight(
+            times_ns=np.array(times, dtype=np.int64),
+            truth_ns=truth_ns,
+            v_b=v_b,
+            error=v_b - true_v_b,
+            sigma=np.array(sigmas),
+            digest=self.digest.hexdigest(),
+            updates=self.updates,
+            refused=refused,
+            counts=counts,
+            lost=self._lost(parameters),
+            faulted=dict(faulted),
+            finite=self.finite,
+            positive=self.positive,
+            monotonic=self.monotonic,
+        )
+
+    def _lost(self, parameters: FilterParameters) -> int:
+        """Valid messages without an output of their stamp.
+
+        Those that an initialisation waits for, or that `output_delay` still keeps back, are not
+        lost.
+        """
+        stream = self.stream
+        valid = [
+            (stamp_ns, stream.epoch_of(stamp_ns, arrival.time_ns), arrival.topic)
+            for arrival in stream.arrivals
+            if arrival.valid and arrival.topic in (IMU, DVL)
+            for stamp_ns in (messages.stamp_ns(arrival.message.header),)
+        ]
+        wait = parameters.initial.levelling_time if parameters.initial.mode == "levelling" else 0.0
+        first: dict[int | None, int] = {}
+        for stamp_ns, epoch, topic in valid:
+            if topic == IMU:
+                first.setdefault(epoch, stamp_ns + round(wait * NS))
+        last = len(stream.epochs) - 1
+        until_ns = max((stamp_ns for stamp_ns, epoch, _ in valid if epoch == last), default=0)
+        until_ns -= round(parameters.output_delay * NS)
+        due: dict[str, Counter[int]] = {IMU: Counter(), DVL: Counter()}
+        for stamp_ns, epoch, topic in valid:
+            early = epoch in first and stamp_ns < first[epoch]
+            if not early and not (epoch == last and stamp_ns > until_ns):
+                due[topic][stamp_ns] += 1
+        updated = Counter(stamp_ns for _, stamp_ns, _ in self.updates)
+        return (due[IMU] - self.stamps).total() + (due[DVL] - updated).total()
+
+
+def _positive(P: Array) -> bool:
+    """Whether a covariance is exactly symmetric and positive definite."""
+    if not np.array_equal(P, P.T):
+        return False
+    try:
+        np.linalg.cholesky(P)
+    except np.linalg.LinAlgError:
+        return False
+    return True

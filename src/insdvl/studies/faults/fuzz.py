@@ -1,0 +1,170 @@
+"""Messages of an adversary: most could be true, the others are anything that fits the type."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl.messages.inputs import FIX, IMU, ODOMETRY, TWIST, TWIST_WITH_COVARIANCE
+from insdvl.navigation.events import NS
+from insdvl.recordings import bags
+
+Array = NDArray[np.float64]
+
+#: Numbers that programs trip over.
+ODD = (np.nan, np.inf, -np.inf, 1e308, -1e300, 1e155, 1e30, 1e12, 1e-310, -0.0, 0.0)
+_STEP_NS = NS // 100
+
+
+class Adversary:
+    """Draws messages; time goes on, mostly.
+
+    Args:
+        rng: All that is random.
+        start_ns: Stamp of the beginning.
+        odd: Probability that a field of a message is anything.
+        wire: Only what can be serialised: no covariance of another size.
+    """
+
+    def __init__(
+        self,
+        rng: np.random.Generator,
+        *,
+        start_ns: int = 1000 * NS,
+        odd: float = 0.05,
+        wire: bool = False,
+    ) -> None:
+        self._rng = rng
+        self._now_ns = start_ns
+        self._odd = odd
+        self._wire = wire
+        self._makers: dict[str, Callable[[], Any]] = {
+            IMU: self._imu,
+            TWIST: self._twist,
+            TWIST_WITH_COVARIANCE: self._twist_with_covariance,
+            ODOMETRY: self._odometry,
+            FIX: self._fix,
+        }
+
+    def messages(self, topics: dict[str, str], count: int) -> Iterator[tuple[str, Any]]:
+        """Topics and messages; a sample of imu/data_raw is as likely as all others together.
+
+        Args:
+            topics: Type of each topic.
+            count: Number of messages.
+        """
+        names = list(topics)
+        for _ in range(count):
+            imu = self._rng.random() < 0.8 and "imu/data_raw" in topics
+            topic = "imu/data_raw" if imu else names[self._rng.integers(len(names))]
+            if topic == "imu/data_raw":
+                self._now_ns += _STEP_NS
+            message = self._makers[topics[topic]]()
+            yield topic, replace(message, header=self._header(message.header))
+
+    def _is_odd(self) -> bool:
+        return bool(self._rng.random() < self._odd)
+
+    def _header(self, header: Any) -> Any:
+        sec, nanosec = self._stamp()
+        frame_id = ["imu_link", "", "camera", "x" * 300, "ü\n"][self._rng.integers(5)]
+        return replace(
+            header,
+            stamp=replace(header.stamp, sec=sec, nanosec=nanosec),
+            frame_id=frame_id if self._is_odd() else "imu_link",
+        )
+
+    def _stamp(self) -> tuple[int, int]:
+        now_ns, rng = self._now_ns, self._rng
+        if not self._is_odd():
+            return divmod(now_ns, NS)
+        if rng.random() < 0.02:  # the clock is set, for good
+            self._now_ns = int(rng.integers(1, 2**31 - 10_000)) * NS
+            return divmod(self._now_ns, NS)
+        stamps = (
+            (0, 0),
+            (-int(rng.integers(1, 2**31)), 5),
+            (now_ns // NS, int(rng.integers(NS, 2**32))),
+            (2**31 - 1, 999_999_999),
+            divmod(now_ns - int(rng.integers(0, 5 * NS)), NS),
+            divmod(now_ns + int(rng.integers(0, 60 * NS)), NS),
+            divmod(now_ns - _STEP_NS, NS),
+        )
+        return stamps[rng.integers(len(stamps))]
+
+    def _numbers(self, size: int, mean: Array | float, sigma: float) -> Array:
+        values = mean + sigma * self._rng.standard_normal(size)
+        if self._is_odd():
+            values[self._rng.integers(size)] = ODD[self._rng.integers(len(ODD))]
+        return values
+
+    def _covariance(self, size: int) -> Array:
+        rng = self._rng
+        if not self._is_odd():
+            return np.diag(10.0 ** rng.uniform(-6.0, 0.0, size)).ravel()
+        flat = (10.0 ** rng.uniform(-3.0, 3.0) * rng.standard_normal((size, size))).ravel()
+        choices = [
+            np.zeros(size * size),
+            np.full(size * size, ODD[rng.integers(len(ODD))]),
+            np.diag(np.full(size, ODD[rng.integers(len(ODD))])).ravel(),
+            flat,
+            (flat.reshape(size, size) @ flat.reshape(size, size).T).ravel(),
+            np.concatenate([[-1.0], np.zeros(size * size - 1)]),
+            -np.eye(size).ravel(),
+        ]
+        if not self._wire:
+            choices += [np.zeros(0), np.ones(5), np.ones(size * size - 1), np.eye(size + 1).ravel()]
+        return choices[rng.integers(len(choices))]
+
+    def _imu(self) -> Any:
+        f = self._numbers(3, np.array([0.0, 0.0, 9.8]), 0.1)
+        message = bags.imu_message(0, "", f, self._numbers(3, 0.0, 0.03))
+        return replace(
+            message,
+            linear_acceleration_covariance=self._covariance(3),
+            angular_velocity_covariance=self._covariance(3),
+        )
+
+    def _twist(self) -> Any:
+        return bags.twist_message(0, "", self._numbers(3, 0.0, 0.1))
+
+    def _twist_with_covariance(self) -> Any:
+        message = bags.twist_message(0, "", self._numbers(3, 0.0, 0.1), np.eye(3))
+        return replace(message, twist=replace(message.twist, covariance=self._covariance(6)))
+
+    def _odometry(self) -> Any:
+        q = self._rng.standard_normal(4)
+        q /= np.linalg.norm(q)
+        if self._is_odd():
+            q[self._rng.integers(4)] = ODD[self._rng.integers(len(ODD))]
+        message = bags.odometry_message(
+            0,
+            ("odom", "base_link"),
+            self._numbers(3, 0.0, 10.0),
+            q,
+            self._numbers(3, 0.0, 1.0),
+            self._numbers(3, 0.0, 0.1),
+        )
+        pose = replace(message.pose, covariance=self._covariance(6))
+        twist = replace(message.twist, covariance=self._covariance(6))
+        return replace(message, pose=pose, twist=twist)
+
+    def _fix(self) -> Any:
+        status = bags.new_message(
+            "sensor_msgs/msg/NavSatStatus",
+            status=int(self._rng.integers(-2, 3)),
+            service=1,
+        )
+        latitude, longitude, altitude = self._numbers(3, np.array([32.0, 34.0, 0.0]), 1.0)
+        return bags.new_message(
+            FIX,
+            header=bags.header_message(0, ""),
+            status=status,
+            latitude=float(latitude),
+            longitude=float(longitude),
+            altitude=float(altitude),
+            position_covariance=self._covariance(3),
+            position_covariance_type=0,
+        )

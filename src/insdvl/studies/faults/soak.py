@@ -1,0 +1,224 @@
+"""The core alone for long: hours of mission, messages in and odometry out; millions of steps.
+
+The motion of the mission is a level circle that closes in each hour, so hour follows hour without a
+seam; every hour has noise of its own, and no bias, which would change at the seam.
+"""
+
+import heapq
+import os
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl.messages.inputs import Inputs
+from insdvl.navigation.events import NS, Dvl, Imu
+from insdvl.navigation.filter import Filter
+from insdvl.navigation.geometry.frames import ENU, rpy_from_rotation
+from insdvl.navigation.parameters import FilterParameters
+from insdvl.navigation.state import State
+from insdvl.parameters.declaration import build
+from insdvl.simulation.mission import ImuModel, Mission, simulate
+from insdvl.simulation.noise import SCENARIOS
+from insdvl.simulation.trajectories import LOOP
+from insdvl.studies.faults.stream import IMU, Arrival, dvl_arrivals, imu_arrivals, learned_from
+from insdvl.timeline.fold import AppliedUpdate, Fold
+from insdvl.tuner.parameters import TunerParameters
+from insdvl.tuner.tuner import Tuner
+
+Array = NDArray[np.float64]
+
+LEG = 3600.0  # s of mission: a whole number of circles
+SENSORS = ImuModel(
+    accelerometer_bias_std=0.0,
+    gyroscope_bias_std=0.0,
+    accelerometer_bias_walk=0.0,
+    gyroscope_bias_walk=0.0,
+)
+
+
+#: Filters whose steps are counted in millions; the gate would begin anew where it is right to.
+STEPPED: dict[str, dict[str, Any]] = {
+    "invariant, with DVL error": {"dvl.bias_model": "gauss_markov", "gate.enabled": False},
+    "ned": {"error_state": "ned", "gate.enabled": False},
+}
+
+
+def start_parameters() -> dict[str, Any]:
+    """Names and values of the filter's parameters for the beginning of any hour."""
+    truth = LOOP.truth(np.zeros(1))
+    return {
+        "initial.rpy": tuple(rpy_from_rotation(ENU.attitude(truth.C_n_b[0])).tolist()),
+        "initial.velocity": tuple((ENU.body @ truth.C_n_b[0].T @ truth.v_n[0]).tolist()),
+        "origin.height": LOOP.h_0,
+    }
+
+
+def hour(number: int, duration: float = LEG) -> Mission:
+    """An hour of the mission, or a shorter leg; its stamps follow those of the one before."""
+    return simulate(
+        LOOP,
+        SCENARIOS["varying"],
+        seed=1 + number,
+        duration=duration,
+        imu=SENSORS,
+        start_ns=round(number * duration * NS),
+    )
+
+
+@dataclass(frozen=True)
+class Health:
+    """How well the numbers hold, each the worst of many states.
+
+    Attributes:
+        asymmetry: Largest |P - P^T|, relative to the standard deviations.
+        smallest_eigenvalue: Of the correlation matrix of P, which is positive definite while this
+            is above 0.
+        orthonormality: Largest element of |C^T C - I|.
+    """
+
+    asymmetry: float = 0.0
+    smallest_eigenvalue: float = 1.0
+    orthonormality: float = 0.0
+
+    def with_state(self, state: State) -> "Health":
+        """The worst of this and of a state; nan where the state is not finite."""
+        P, C = state["P"], state["C_n_b"]
+        if not all(np.isfinite(state[name]).all() for name in ("C_n_b", "v_n", "p_n", "P")):
+            return Health(np.nan, np.nan, np.nan)
+        sigma = np.sqrt(np.diag(P))
+        correlation = P / np.outer(sigma, sigma)
+        return Health(
+            float(np.maximum(self.asymmetry, np.abs(correlation - correlation.T).max())),
+            float(np.minimum(self.smallest_eigenvalue, np.linalg.eigvalsh(correlation)[0])),
+            float(np.maximum(self.orthonormality, np.abs(C.T @ C - np.eye(3)).max())),
+        )
+
+
+@dataclass(frozen=True)
+class Hour:
+    """What an hour took.
+
+    Attributes:
+        samples: IMU messages sent.
+        outputs: Odometry published.
+        seconds: Of the filter and the tuner together, without making the messages.
+        memory: Resident memory of the process at its end, without its mission [MB].
+        nis: Mean normalised innovation squared.
+        body_velocity_rmse: [m/s].
+        health: After the updates.
+    """
+
+    samples: int
+    outputs: int
+    seconds: float
+    memory: float
+    nis: float
+    body_velocity_rmse: float
+    health: Health
+
+
+def run(hours: int, duration: float = LEG) -> Iterator[Hour]:
+    """Hours one after the other through one filter and one tuner.
+
+    Args:
+        hours: How many.
+        duration: Of each [s]; at the seam of shorter ones the heading jumps.
+    """
+    parameters = build(FilterParameters, start_parameters() | {"process_noise.source": "external"})
+    fold, inputs, tuner = Fold(parameters), Inputs(parameters), Tuner(TunerParameters())
+    for number in range(hours):
+        mission = hour(number, duration)
+        truth = mission.truth
+        v_b = np.einsum("kji,kj->ki", truth.C_n_b, truth.v_n) @ ENU.body
+        k = outputs = 0
+        squared, seconds = 0.0, 0.0
+        nis: list[float] = []
+        health = Health()
+        for arrival in _arrivals(mission):
+            begin = time.perf_counter()
+            for output in _taken(arrival, fold, inputs, tuner):
+                if isinstance(output, AppliedUpdate):
+                    nis.append(output.report.nis)
+                    health = health.with_state(fold.states[-1])
+                    continue
+                error = output.twist_linear - v_b[k]
+                squared += float(error @ error)
+                outputs, k = outputs + 1, k + 1
+            seconds += time.perf_counter() - begin
+        samples = mission.stamps_ns.size
+        del mission, truth, v_b  # no part of the memory, and not kept while the next one is made
+        yield Hour(
+            samples=samples,
+            outputs=outputs,
+            seconds=seconds,
+            memory=memory(os.getpid()),
+            nis=float(np.mean(nis)),
+            body_velocity_rmse=float(np.sqrt(squared / max(outputs, 1))),
+            health=health,
+        )
+
+
+def steps(parameters: FilterParameters, millions: int, seed: int) -> Iterator[Health]:
+    """A quick turn for millions of predictions, an update after each thousand; the health of each.
+
+    Args:
+        parameters: Of a filter that starts from them.
+        millions: How many.
+        seed: Of the noise.
+    """
+    filter_, chunk, rounds = Filter(parameters), 1000, 1000
+    rng = np.random.default_rng(seed)
+    f_b = np.array([0.1, -0.2, -9.8]) + rng.normal(0.0, 0.1, (chunk, 3))
+    w_ib_b = np.array([0.02, -0.01, 0.3]) + rng.normal(0.0, 0.03, (chunk, 3))
+    readings = np.hstack([f_b, w_ib_b])
+    state = filter_.start()
+    states = np.empty(chunk, state.dtype)
+    filter_.await_start(state, Imu(0, f_b[0], w_ib_b[0]), readings[0])
+    step_ns = round(NS / parameters.imu.rate)
+    stamps_ns = np.arange(1, chunk + 1) * step_ns
+    for _ in range(millions):
+        health = Health()
+        for _ in range(rounds):
+            filter_.predict_samples(state, stamps_ns, f_b, w_ib_b, readings, 0, chunk, states)
+            v_d = rng.normal((1.0, 0.0, 0.0), 0.05)
+            filter_.update(state, Dvl(int(stamps_ns[-1]), v_d), w_ib_b[-25:].mean(axis=0), 25)
+            health = health.with_state(state[0])
+            stamps_ns += chunk * step_ns
+        yield health
+
+
+def _taken(arrival: Arrival, fold: Fold, inputs: Inputs, tuner: Tuner) -> list[Any]:
+    """What the filter publishes after a message, and after the process noise learned from it."""
+    _give(arrival, fold, inputs)
+    if arrival.topic == IMU and (learned := learned_from(arrival, tuner)):
+        _give(learned, fold, inputs)
+    return fold.take()
+
+
+def _give(arrival: Arrival, fold: Fold, inputs: Inputs) -> None:
+    for event in inputs.events(arrival.topic, arrival.message, fold):
+        fold.add(event)
+
+
+def _arrivals(mission: Mission) -> Iterator[Arrival]:
+    """One at a time: an hour of messages at once would be a gigabyte."""
+    return heapq.merge(
+        imu_arrivals(mission), dvl_arrivals(mission), key=lambda arrival: arrival.time_ns
+    )
+
+
+def processor_time() -> tuple[int, int]:
+    """Of all processors since the machine's start [ticks]: the whole, and what its host took."""
+    ticks = [int(n) for n in Path("/proc/stat").read_text(encoding="ascii").split()[1:9]]
+    return sum(ticks), ticks[7]  # steal, proc(5)
+
+
+def memory(pid: int) -> float:
+    """Resident memory of a process [MB]."""
+    pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6

@@ -1,0 +1,1 @@
+"""`insdvl replay`: the filter over a recording."""

@@ -1,0 +1,134 @@
+"""The command `insdvl train`: data set -> model and card."""
+
+import argparse
+import sys
+import tempfile
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+
+from insdvl.jobs import parallel
+from insdvl.jobs.parallel import Store, TaskError, Workers, WorkersError
+from insdvl.studies.training import dataset
+from insdvl.tuner.models import write_model
+
+MIN_WINDOW, MAX_WINDOW = 10, 2000
+
+
+@dataclass(frozen=True)
+class Preset:
+    """Where a model is trained.
+
+    Attributes:
+        module: Has ``train(preset, window, seed, pool, store, say)``, and is imported only when it
+            is asked for.
+        packages: What that needs beside what insdvl always needs.
+        min_window: Fewest samples of a window.
+    """
+
+    module: str
+    packages: tuple[str, ...] = ()
+    min_window: int = MIN_WINDOW
+
+
+_TREES = Preset("insdvl.studies.training.ensemble")
+_NETWORK = Preset(
+    "insdvl.studies.training.network", ("torch", "onnx", "onnxruntime"), min_window=22
+)
+
+PRESETS = {"default": _TREES, "paper": _TREES, "dnn": _NETWORK, "dnn-default": _NETWORK}
+
+MAX_SEED = 2**32 - 1  # scikit-learn's largest
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's options."""
+    parser.add_argument(
+        "--preset",
+        default="default",
+        choices=tuple(PRESETS),
+        help="which model; default: trees that work at any scale; paper: trees as published; "
+        "dnn-default, dnn: the same with a convolutional network",
+    )
+    parser.add_argument(
+        "--window",
+        type=int,
+        default=dataset.WINDOW,
+        metavar="N",
+        help="samples of a window; if not 200 the model is named PRESET-N (default: 200)",
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, help="of data set, split and training (default: 0)"
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("models"),
+        metavar="DIR",
+        help="folder of the model's file and card (default: ./models)",
+    )
+    parallel.add_arguments(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Train, and write the two files; the exit code is 2 where the input is refused.
+
+    Finished parts are kept beside the files until these are written: training that was interrupted
+    goes on from there.
+    """
+    preset, window, out = arguments.preset, arguments.window, arguments.out
+    name = preset if window == dataset.WINDOW else f"{preset}-{window}"
+    try:
+        workers = _checked(arguments)
+    except (ValueError, OSError) as error:
+        print(f"insdvl train: {error}", file=sys.stderr)
+        return 2
+    module = import_module(PRESETS[preset].module)
+    try:
+        with parallel.pool(workers) as pool:
+            store = Store(
+                out / f".{name}.work",
+                {"preset": preset, "window": window, "seed": arguments.seed},
+            )
+            data, card = module.train(preset, window, arguments.seed, pool, store, print)
+            written = write_model(out, data, {"name": name, **card})
+            store.clear()
+    except (WorkersError, OSError) as error:
+        print(f"insdvl train: {error}", file=sys.stderr)
+        return 2
+    except TaskError as error:
+        print(f"insdvl train: {error}", file=sys.stderr)
+        return 1
+    for path in written:
+        print(f"{path}: {path.stat().st_size} bytes")
+    return 0
+
+
+def _checked(arguments: argparse.Namespace) -> Workers:
+    workers = parallel.workers_of(arguments)
+    if not 0 <= arguments.seed <= MAX_SEED:
+        raise ValueError(f"--seed must be within 0 to {MAX_SEED}, got {arguments.seed}")
+    preset = PRESETS[arguments.preset]
+    if not preset.min_window <= arguments.window <= MAX_WINDOW:
+        raise ValueError(
+            f"--window must be within {preset.min_window} to {MAX_WINDOW}, got {arguments.window}"
+        )
+    missing = [name for name in preset.packages if find_spec(name) is None]
+    if missing:
+        raise ValueError(
+            f"--preset {arguments.preset} needs {', '.join(missing)}: "
+            "install the extra packages of insdvl[dnn] and insdvl[onnx]"
+        )
+    # Minutes of work come before the files: whether they can be written is tried first.
+    existing = arguments.out
+    while not existing.exists():
+        existing = existing.parent
+    if not existing.is_dir():
+        raise ValueError(f"--out {arguments.out}: {existing} is not a folder")
+    try:
+        with tempfile.TemporaryFile(dir=existing):
+            pass
+    except OSError as error:
+        raise ValueError(f"--out {arguments.out}: {error.strerror or error}") from error
+    return workers

@@ -1,0 +1,155 @@
+"""The ensemble of regression trees: fit with scikit-learn, turned into flat arrays, with its card.
+
+30 bagged trees. "Minimum of 8 leaves" is read as a minimum leaf size of 8 in the preset `paper`.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import joblib
+import numpy as np
+import scipy
+import sklearn
+from numpy.typing import NDArray
+from sklearn.ensemble import BaggingRegressor, ExtraTreesRegressor, RandomForestRegressor
+from sklearn.tree import DecisionTreeRegressor
+
+from insdvl.jobs.parallel import Pool, Result, Store
+from insdvl.studies.training import dataset, procedure
+from insdvl.studies.training.dataset import Indices, Recipe
+from insdvl.studies.training.procedure import Method
+from insdvl.tuner.forest import LEAF, Forest, ForestError
+
+Array = NDArray[np.float64]
+
+TREES = 30
+
+#: Fewest examples in a leaf of each preset, whose name is that of its feature schema, too.
+PRESETS = {"paper": 8, "default": 200}
+
+
+def fit(X: Array, y: Array, min_samples_leaf: int, seed: int) -> BaggingRegressor:
+    """The ensemble.
+
+    Args:
+        X: (M, F) features.
+        y: (M,) answers.
+        min_samples_leaf: Fewest examples in a leaf.
+        seed: In [0, 2^32).
+    """
+    ensemble = BaggingRegressor(
+        DecisionTreeRegressor(min_samples_leaf=min_samples_leaf),
+        n_estimators=TREES,
+        random_state=seed,
+        n_jobs=1,
+    )
+    return ensemble.fit(X, y)
+
+
+def to_forest(
+    ensemble: BaggingRegressor | RandomForestRegressor | ExtraTreesRegressor,
+) -> Forest:
+    """The trees of a fitted ensemble as flat arrays, with the same answers to the bit.
+
+    Args:
+        ensemble: A BaggingRegressor of DecisionTreeRegressors, a RandomForestRegressor or an
+            ExtraTreesRegressor, of one answer.
+
+    Raises:
+        ForestError: It is of something else than regression trees, or of several answers.
+    """
+    if not isinstance(ensemble, BaggingRegressor | RandomForestRegressor | ExtraTreesRegressor):
+        raise ForestError(f"the ensemble must be a mean of trees, got {ensemble!r}")
+    trees = ensemble.estimators_
+    everything = np.arange(ensemble.n_features_in_)
+    subsets = getattr(ensemble, "estimators_features_", [everything] * len(trees))
+    features, thresholds, values, roots = [], [], [], []
+    n_nodes = 0
+    for estimator, columns in zip(trees, subsets, strict=True):
+        if not isinstance(estimator, DecisionTreeRegressor):
+            raise ForestError(f"the ensemble must be of regression trees, got {estimator!r}")
+        tree = estimator.tree_
+        if tree.n_outputs != 1:
+            raise ForestError(f"the trees must have one answer, got {tree.n_outputs}")
+        order = _preorder(tree.children_left, tree.children_right)
+        leaf = tree.children_left[order] == LEAF
+        feature = np.full(order.size, LEAF)
+        # A tree may see the columns in an order of its own.
+        feature[~leaf] = np.asarray(columns)[tree.feature[order][~leaf]]
+        features.append(feature)
+        thresholds.append(_rounded_down(tree.threshold[order][~leaf]))
+        values.append(tree.value[order, 0, 0][leaf])
+        roots.append(n_nodes)
+        n_nodes += order.size
+    return Forest(
+        {
+            "feature": np.concatenate(features).astype(np.int16),
+            "threshold": np.concatenate(thresholds),
+            "value": np.concatenate(values),
+            "roots": np.array(roots, np.int32),
+            "n_features": np.array(ensemble.n_features_in_, np.int32),
+        }
+    )
+
+
+def _preorder(left: Indices, right: Indices) -> Indices:
+    """Nodes of a tree, each split before its left side, and that before its right side."""
+    order, waiting = [], [0]
+    while waiting:
+        node = waiting.pop()
+        order.append(node)
+        if left[node] != LEAF:
+            waiting += [right[node], left[node]]
+    return np.array(order)
+
+
+def _rounded_down(threshold: Array) -> NDArray[np.float32]:
+    """The largest float32 that is at most the threshold: it splits float32 values the same way."""
+    rounded = threshold.astype(np.float32)
+    above = rounded.astype(np.float64) > threshold
+    rounded[above] = np.nextafter(rounded[above], np.float32(-np.inf))
+    return rounded
+
+
+def train(
+    preset: str,
+    window: int,
+    seed: int,
+    pool: Pool,
+    store: Store | None,
+    say: Callable[[str], None],
+    n_windows: int = dataset.WINDOWS,
+) -> tuple[bytes, dict[str, Any]]:
+    """The file of a model, and its card without name and hash.
+
+    Args:
+        preset: Key of PRESETS, and name of the feature schema.
+        window: Number of samples of a window.
+        seed: In [0, 2^32); of the data set, of the split, and of the ensemble.
+        pool: Does the work; the result does not depend on it.
+        store: Keeps finished parts.
+        say: Is told what is being done.
+        n_windows: See `Recipe`.
+    """
+    method = Method(
+        kind="forest",
+        fit=_fit,
+        settings=(PRESETS[preset], seed),
+        regressor=Forest,
+        described_as=("ensemble", {"trees": TREES, "min_samples_leaf": PRESETS[preset]}),
+        versions={
+            "numpy": np.__version__,
+            "scipy": scipy.__version__,
+            "scikit-learn": sklearn.__version__,
+            "joblib": joblib.__version__,
+        },
+    )
+    fitted, card = procedure.train(
+        method, Recipe(preset, seed, window, n_windows), pool, store, say
+    )
+    return Forest(fitted).save(), card
+
+
+def _fit(shared: tuple[Array, Array, int, int], training: Indices) -> Result:
+    X, y, min_samples_leaf, seed = shared
+    return to_forest(fit(X[training], y[training], min_samples_leaf, seed)).arrays

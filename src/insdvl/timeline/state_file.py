@@ -1,0 +1,286 @@
+"""The filter's memory in a file, so that a filter that was killed goes on where it was.
+
+The file is one line of JSON, then the bytes of one state record (state.py). The line has what is
+needed to refuse a file that is damaged, of another version, or of a filter whose numbers would mean
+something else. Nothing in a file is executed, and no more of it is read than a record is long.
+"""
+
+import hashlib
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl import files
+from insdvl.navigation.events import MAX_DISTANCE, MAX_SPEED, MAX_VARIANCE, NS
+from insdvl.navigation.filter import Filter
+from insdvl.navigation.parameters import FilterParameters
+from insdvl.navigation.state import NEVER, State
+from insdvl.parameters.declaration import flatten
+
+Records = NDArray[np.void]
+
+FORMAT = "insdvl state 1"
+#: The line of JSON is no longer than this [bytes].
+MAX_HEADER = 65_536
+
+#: Parameters, or groups of them, that decide what the numbers of a record mean, or with which the
+#: operator says that another state is wanted.
+DECIDING = (
+    "frame_convention",
+    "error_state",
+    "imu.mount",
+    "imu.lever_arm",
+    "dvl.mount",
+    "dvl.bias_model",
+    "process_noise.",
+    "initial.",
+    "origin.",
+)
+
+_GROUPS = tuple(name for name in DECIDING if name.endswith("."))
+
+#: Fields that must be finite, and those that must be covariances.
+_FINITE = (
+    *("lat_0", "lon_0", "h_0", "C_n_b", "v_n", "p_n", "b_f", "b_w", "b_d", "w_nb_b"),
+    *("Q_x", "innovations", "nis", "left", "first", "first_nis", "rejected"),
+    *("fault", "doubt"),
+)
+_COVARIANCES = ("P", "Q_f", "Q_w")
+
+#: For so long a file that was not used is told of when there is another.
+TOLD_NS = 60 * NS
+
+
+class StateFileError(ValueError):
+    """A state file cannot be used; the message says why."""
+
+
+def encode(record: State, parameters: FilterParameters) -> bytes:
+    """The content of a file.
+
+    Args:
+        record: An initialised state.
+        parameters: Of its filter.
+    """
+    data = record.tobytes()
+    header = {
+        "format": FORMAT,
+        "stamp_ns": int(record["imu_ns"]),
+        "layout": _layout(record.dtype),
+        "parameters": _deciding(parameters),
+        "sha256": _sha256(data),
+    }
+    return json.dumps(header).encode() + b"\n" + data
+
+
+def decode(data: bytes, filter_: Filter) -> Records:
+    """The record in the content of a file, in an array of length 1.
+
+    Args:
+        data: The content.
+        filter_: That is to go on with it.
+
+    Raises:
+        StateFileError: It is damaged, or of another version or filter.
+    """
+    start = filter_.start()
+    line, newline, body = data.partition(b"\n")
+    try:
+        header = json.loads(line) if newline else None
+    except (ValueError, RecursionError):
+        header = None
+    if not isinstance(header, dict) or not isinstance(header.get("parameters"), dict):
+        raise StateFileError("it is damaged: its first line is no header")
+    if header.get("format") != FORMAT or header.get("layout") != _layout(start.dtype):
+        raise StateFileError("it is of another version or of other error states")
+    if len(body) != start.dtype.itemsize or header.get("sha256") != _sha256(body):
+        raise StateFileError("it is damaged: the record does not have its checksum")
+    theirs, ours = header["parameters"], _deciding(filter_.parameters)
+    for name in sorted(theirs.keys() | ours.keys()):
+        if theirs.get(name) != ours.get(name):
+            raise StateFileError(
+                f"it is of other parameters: '{name}' was {files.shown(theirs.get(name))} and is "
+                f"{files.shown(ours.get(name))}"
+            )
+    record = np.frombuffer(body, start.dtype).copy()
+    _check(record[0])
+    if header.get("stamp_ns") != int(record[0]["imu_ns"]):
+        raise StateFileError("it is damaged: its first line has another stamp than the record")
+    return record
+
+
+def load(path: Path, filter_: Filter) -> Records | None:
+    """The record in a file, in an array of length 1; None where there is no file.
+
+    Raises:
+        StateFileError: It cannot be read, or `decode` refuses it.
+    """
+    longest = MAX_HEADER + 1 + filter_.start().dtype.itemsize
+    try:
+        if not path.exists():
+            return None
+        if not path.is_file():  # reading it might wait for ever
+            raise StateFileError("it is no file")
+        with path.open("rb") as file:
+            data = file.read(longest + 1)
+    except OSError as error:
+        raise StateFileError(f"it cannot be read: {error.strerror or error}") from error
+    if len(data) > longest:
+        raise StateFileError(f"it is damaged: it is longer than {longest} bytes")
+    return decode(data, filter_)
+
+
+class StateFile:
+    """Keeps a filter's state in a file.
+
+    Attributes:
+        path: The file.
+        writes: How often it was written.
+        failures: How often it could not be.
+        error: Why the last attempt failed, None where it did not.
+        unused: Why the file that was there at the start is not used; None where it is, and when
+            another has been there for `TOLD_NS`. What is not used is set aside under the name with
+            ``.unused`` behind it: the last known position is not lost to a clock that is not set.
+        stamp_ns: Stamp of the state that was written last, None before.
+    """
+
+    def __init__(self, path: Path, filter_: Filter) -> None:
+        self.path = path
+        self._filter = filter_
+        self._period_ns = round(filter_.parameters.state_period * NS)
+        self._tried_ns: int | None = None
+        self.writes = 0
+        self.failures = 0
+        self.error: str | None = None
+        self.unused: str | None = None
+        self._loaded_ns: int | None = None
+        self._first_ns: int | None = None  # of what was written
+        self.stamp_ns: int | None = None
+
+    def load(self) -> Records | None:
+        """The record in the file, in an array of length 1; None where there is none to use."""
+        try:
+            record = load(self.path, self._filter)
+        except StateFileError as error:
+            self._set_aside(str(error))
+            return None
+        if record is not None:
+            self._loaded_ns = self._tried_ns = int(record[0]["imu_ns"])
+        return record
+
+    def left_at(self, stamp_ns: int, to_ns: int) -> bool:
+        """Whether a time jump from one stamp to another leaves the state that was loaded.
+
+        The file was then of another time than the samples, and is not used.
+        """
+        if self._loaded_ns != stamp_ns:
+            return False
+        self._loaded_ns = self._tried_ns = None
+        limit = self._filter.parameters.jump_limit
+        self._set_aside(
+            f"it is of stamp {stamp_ns / NS:.3f} s and the first sample of {to_ns / NS:.3f} s, "
+            f"which is not within jump_limit ({limit:g} s) after it"
+        )
+        return True
+
+    def _set_aside(self, why: str) -> None:
+        self.unused = why
+        aside = self.path.with_name(f"{self.path.name}.unused")
+        try:
+            if self.path.is_file():
+                os.replace(self.path, aside)
+        except OSError as error:
+            self._fail(f"not set aside: {error.strerror or error}")
+
+    def _fail(self, why: str) -> None:
+        self.failures += 1
+        self.error = why
+
+    def offer(self, state: State) -> None:
+        """Write a state, where the last one was tried `state_period` before; failures are kept.
+
+        Args:
+            state: An initialised state.
+        """
+        now_ns = int(state["imu_ns"])
+        if self._tried_ns is not None and 0 <= now_ns - self._tried_ns < self._period_ns:
+            return
+        self._tried_ns = now_ns
+        try:
+            _check(state)  # a good file is not replaced by what no filter would go on from
+            files.write(self.path, encode(state, self._filter.parameters))
+        except OSError as error:
+            self._fail(error.strerror or str(error))
+        except StateFileError as error:
+            self._fail(f"of the state, {error}")
+        else:
+            if self._first_ns is None:
+                self._first_ns = now_ns
+            if not 0 <= now_ns - self._first_ns < TOLD_NS:
+                self.unused = None
+            self.writes += 1
+            self.error, self.stamp_ns = None, now_ns
+
+    def remove(self) -> None:
+        """Forget the state; failures are kept."""
+        self._tried_ns = self._first_ns = self.stamp_ns = self.unused = None
+        try:
+            os.unlink(self.path)
+        except FileNotFoundError:
+            pass
+        except OSError as error:
+            self._fail(error.strerror or str(error))
+
+
+def _deciding(parameters: FilterParameters) -> dict[str, Any]:
+    """Names and values of the parameters that decide, as JSON has them."""
+    values = flatten(parameters)
+    deciding = {n: v for n, v in values.items() if n in DECIDING or n.startswith(_GROUPS)}
+    return dict(json.loads(json.dumps(deciding)))
+
+
+def _layout(dtype: np.dtype[np.void]) -> str:
+    """Digest of the names, types, shapes and places of a record's fields."""
+    return _sha256(repr([dtype.descr, dtype.itemsize]).encode())
+
+
+def _sha256(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+def _check(s: State) -> None:
+    """Refuse a record that no filter could have written.
+
+    Raises:
+        StateFileError: It names the field.
+    """
+
+    def require(right: Any, name: str) -> None:
+        if not right:
+            value = files.shown(np.asarray(s[name]).tolist())
+            raise StateFileError(f"it is damaged: '{name}' is {value}")
+
+    require(s["initialised"] == 1, "initialised")
+    require(0 <= s["time_ns"] == s["imu_ns"], "imu_ns")
+    for name in s.dtype.names:
+        if name.endswith("_ns"):
+            stamps = np.asarray(s[name])
+            past = (stamps >= 0) & (stamps <= s["time_ns"])
+            require((past | (stamps == NEVER)).all(), name)
+    for name in _FINITE:
+        require(np.isfinite(s[name]).all(), name)
+    require(abs(s["lat_0"]) <= np.pi / 2, "lat_0")
+    C = s["C_n_b"]
+    require(np.abs(C @ C.T - np.eye(3)).max() < 1e-6 and np.linalg.det(C) > 0.0, "C_n_b")
+    require(np.abs(s["v_n"]).max() <= MAX_SPEED, "v_n")
+    require(np.abs(s["p_n"]).max() <= MAX_DISTANCE, "p_n")
+    for name in _COVARIANCES:
+        P = s[name]
+        require(np.isfinite(P).all() and np.abs(P).max() <= MAX_VARIANCE, name)
+        scale = np.abs(P).max()
+        symmetric = np.abs(P - P.T).max() <= 1e-9 * scale
+        require(symmetric and np.linalg.eigvalsh(P)[0] >= -1e-9 * scale, name)

@@ -1,0 +1,72 @@
+"""Closed-form estimators of the variance of white noise in a window: what learning is up against.
+
+Each turns windows (M, N) of one channel into variances (M,) in the square of its unit, does not
+depend on the unit or on a constant that is added to the window, and is unbiased where its model of
+the motion holds:
+
+* `linear`: the motion is a straight line, N - 2 degrees of freedom;
+* `first_differences`: it hardly changes from one sample to the next; as much information as
+  2/3 N degrees of freedom, for many samples;
+* `degree_5`: it is a polynomial of degree 5, N - 6 degrees of freedom.
+
+The relative RMSE of nu degrees of freedom is sqrt(2 / nu): 10.2 % for `degree_5` and N = 200. No
+unbiased estimator that allows for this motion does better, since the residual's sum of squares is
+sufficient for q.
+
+`posterior_mean` adds what none of these knows: that q is one of a few known values.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import softmax
+from scipy.stats import chi2
+
+from insdvl.tuner.features.detrend import residual_variances
+from insdvl.tuner.features.differences import difference_variances
+
+Array = NDArray[np.float64]
+
+DEGREE = 5
+
+
+def linear(windows: Array) -> Array:
+    """Variance after linear detrend."""
+    return residual_variances(windows, 1)
+
+
+def first_differences(windows: Array) -> Array:
+    """Half the mean square of first differences."""
+    return difference_variances(windows, 1)
+
+
+def degree_5(windows: Array) -> Array:
+    """Variance around the least-squares polynomial of degree 5."""
+    return residual_variances(windows, DEGREE)
+
+
+def posterior_mean(windows: Array, grid: Array) -> Array:
+    """Mean of q given the degree-5 residual, where q is one of `grid` (K,) with equal probability.
+
+    The answer with the least mean square error among those that know no more than the residual.
+    """
+    dof = np.shape(windows)[1] - DEGREE - 1
+    return _posterior_mean(dof * degree_5(windows), grid, dof)
+
+
+def _posterior_mean(squares: Array, grid: Array, dof: float) -> Array:
+    """Mean of q (M,) given sums of squares (M,), which are q times a chi-square variable."""
+    log_likelihood = -0.5 * dof * np.log(grid) - 0.5 * squares[:, None] / grid
+    return softmax(log_likelihood, axis=1) @ grid
+
+
+def bayes_rmse(grid: Array, dof: float, points: int = 4000) -> float:
+    """The least RMSE on examples whose q is one of `grid` (K,), each as often as the others.
+
+    Args:
+        grid: The variances, which the estimator knows.
+        dof: Degrees of freedom of what it sees of the noise: N where the motion is known.
+        points: Of the sum over quantiles that stands for the integral.
+    """
+    quantiles = chi2.ppf((np.arange(points) + 0.5) / points, dof)
+    errors = [_posterior_mean(q * quantiles, grid, dof) - q for q in grid]
+    return float(np.sqrt(np.mean(np.square(errors))))

@@ -1,0 +1,71 @@
+"""White noise told from fast motion: the variance of differences of a high order.
+
+The k-th difference of white noise of variance q has the variance C(2k, k) q. Of motion it keeps
+little that is slower than the sampling: a sinusoid of angular frequency w per sample is multiplied
+by (2 sin(w / 2))^k, so that its part in the estimate falls with the k-th power of the frequency
+squared. A vehicle's turning and much of its vibration, which no polynomial follows over a whole
+window and `closed_form.degree_5` takes for noise, are left out; sensor noise is not. What it costs
+is precision: the differences are correlated with each other.
+"""
+
+from math import comb
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl.tuner.features.detrend import checked
+from insdvl.tuner.offline import Estimator
+
+Array = NDArray[np.float64]
+
+#: Of its relative error in white noise, how far the bound lies above the differences' variance.
+SIGMAS = 3.0
+
+
+def difference_variances(windows: Array, order: int) -> Array:
+    """Unbiased variance (M,) of white noise in windows (M, N), from differences of an order < N.
+
+    Raises:
+        ValueError: `windows` has another shape, or a value is not within 1e70 of zero.
+    """
+    differences = np.diff(checked(windows, order + 1), n=order, axis=1)
+    return np.mean(differences * differences, axis=1) / comb(2 * order, order)
+
+
+def relative_error(n: int, order: int) -> float:
+    """Relative standard deviation of `difference_variances` of Gaussian white noise.
+
+    The variance of a mean of M correlated squares is 2 / M sum_j (1 - |j| / M) rho_j^2 of their
+    squared mean, and differences of order k at a distance j have the correlation
+    rho_j = (-1)^j C(2k, k + j) / C(2k, k).
+
+    Args:
+        n: Number of samples of a window, > order.
+        order: k.
+    """
+    count = n - order
+    total = 1.0
+    for j in range(1, min(order, count - 1) + 1):
+        rho = comb(2 * order, order + j) / comb(2 * order, order)
+        total += 2.0 * (1.0 - j / count) * rho**2
+    return float(np.sqrt(2.0 * total / count))
+
+
+def bounded(estimate: Estimator, order: int) -> Estimator:
+    """An estimator that never says more than the differences of an order allow.
+
+    The bound lies `SIGMAS` relative errors above their variance: in white noise it hardly ever
+    acts, and in motion it takes over.
+
+    Args:
+        estimate: The estimator.
+        order: Of the differences; 0 for no bound.
+    """
+    if order == 0:
+        return estimate
+
+    def bounded_estimate(windows: Array) -> Array:
+        margin = 1.0 + SIGMAS * relative_error(windows.shape[1], order)
+        return np.minimum(estimate(windows), margin * difference_variances(windows, order))
+
+    return bounded_estimate

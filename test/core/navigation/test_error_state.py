@@ -1,0 +1,383 @@
+"""F, Phi, G, H, the injection and the changes of coordinates against the code that they stand for.
+
+Derivatives are central differences of nine points with large steps, through the definition of the
+error: C_true = exp([psi x]) C, v_true = v + dv or exp([psi x]) v + dv, and sums for all else.
+"""
+
+import numpy as np
+import pytest
+from oracle import skew, van_loan
+from scipy.spatial.transform import Rotation
+
+from insdvl.navigation import error_state, strapdown
+from insdvl.navigation.error_state import (
+    ACCELEROMETER_BIAS,
+    ATTITUDE,
+    DVL_ERROR,
+    GYROSCOPE_BIAS,
+    POSITION,
+    VELOCITY,
+)
+from insdvl.navigation.events import NS
+from insdvl.navigation.filter import Filter
+from insdvl.navigation.geometry import earth
+from insdvl.navigation.parameters import (
+    DvlParameters,
+    FilterParameters,
+    ImuParameters,
+    OriginParameters,
+    ProcessNoiseParameters,
+)
+from insdvl.navigation.state import workspace_type
+
+MODELS = ("invariant", "ned")
+WEIGHTS = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
+STEPS = (
+    (VELOCITY, 1.0),
+    (ATTITUDE, 0.1),
+    (ACCELEROMETER_BIAS, 1.0),
+    (GYROSCOPE_BIAS, 0.1),
+    (POSITION, 1000.0),
+    (DVL_ERROR, 0.1),
+)
+NOMINAL = ("C_n_b", "v_n", "b_f", "b_w", "p_n", "b_d")
+
+
+def random_spd(rng, scale):
+    root = rng.standard_normal((3, 3))
+    return scale * (root @ root.T + 0.3 * np.eye(3))
+
+
+class Case:
+    """A filter at a random state."""
+
+    def __init__(self, model, seed, *, speed=4.0, lat_deg=None, bias_model="none"):
+        rng = np.random.default_rng(seed)
+        lat_deg = rng.uniform(-79.0, 79.0) if lat_deg is None else lat_deg
+        self.filter = Filter(
+            FilterParameters(
+                frame_convention="ned",
+                error_state=model,
+                origin=OriginParameters(latitude_deg=float(lat_deg), height=-50.0),
+                imu=ImuParameters(lever_arm=(0.3, -0.2, 0.1), mount=(0.1, -0.2, 0.3)),
+                dvl=DvlParameters(
+                    lever_arm=(-0.8, 0.5, 1.1), mount=(0.02, -0.3, 0.8), bias_model=bias_model
+                ),
+                process_noise=ProcessNoiseParameters(
+                    accelerometer_bias_walk=3e-4, gyroscope_bias_walk=2e-5
+                ),
+            )
+        )
+        self.invariant = model == "invariant"
+        self.n = self.filter.n
+        self.constants = self.filter.constants[0]
+        self.workspace = np.zeros(1, workspace_type(self.n))[0]
+        self.nominal = {
+            "C_n_b": Rotation.from_rotvec(3.0 * unit(rng)).as_matrix(),
+            "v_n": speed * unit(rng),
+            "b_f": rng.uniform(-0.1, 0.1, 3),
+            "b_w": rng.uniform(-0.01, 0.01, 3),
+            "p_n": rng.uniform(-100.0, 100.0, 3),
+            "b_d": rng.uniform(-0.1, 0.1, 3),
+        }
+        self.f_b = np.array([0.0, 0.0, -9.8]) + rng.uniform(-2.0, 2.0, 3)
+        self.w_ib_b = rng.uniform(-0.3, 0.3, 3)
+        self.Q_f, self.Q_w = random_spd(rng, 1e-4), random_spd(rng, 1e-5)
+
+    def record(self, nominal):
+        state = self.filter.start()
+        for name in NOMINAL:
+            state[0][name] = nominal[name]
+        return state
+
+    def plus(self, nominal, x):
+        """The true state that differs by the error x from the nominal one."""
+        turn = Rotation.from_rotvec(x[ATTITUDE]).as_matrix()
+        v_n = turn @ nominal["v_n"] if self.invariant else nominal["v_n"]
+        return {
+            "C_n_b": turn @ nominal["C_n_b"],
+            "v_n": v_n + x[VELOCITY],
+            "b_f": nominal["b_f"] + x[ACCELEROMETER_BIAS],
+            "b_w": nominal["b_w"] + x[GYROSCOPE_BIAS],
+            "p_n": nominal["p_n"] + x[POSITION],
+            "b_d": nominal["b_d"] + (x[DVL_ERROR] if self.n > 15 else 0.0),
+        }
+
+    def minus(self, true, nominal):
+        """The error (n,) by which a true state differs from a nominal one."""
+        turn = true["C_n_b"] @ nominal["C_n_b"].T
+        v_n = turn @ nominal["v_n"] if self.invariant else nominal["v_n"]
+        x = np.zeros(self.n)
+        x[VELOCITY] = true["v_n"] - v_n
+        x[ATTITUDE] = Rotation.from_matrix(turn).as_rotvec()
+        x[ACCELEROMETER_BIAS] = true["b_f"] - nominal["b_f"]
+        x[GYROSCOPE_BIAS] = true["b_w"] - nominal["b_w"]
+        x[POSITION] = true["p_n"] - nominal["p_n"]
+        if self.n > 15:
+            x[DVL_ERROR] = true["b_d"] - nominal["b_d"]
+        return x
+
+    def jacobian(self, function):
+        """Derivative (..., n) of an array-valued function of the error at zero."""
+        columns = []
+        for block, step in STEPS:
+            for i in range(block.start, min(block.stop, self.n)):
+                column = 0.0
+                for k, weight in enumerate(WEIGHTS, start=1):
+                    x = np.zeros(self.n)
+                    x[i] = k * step
+                    column = column + weight / step * (function(x) - function(-x))
+                columns.append(column)
+        return np.array(columns).T
+
+    def moved(self, nominal, dt, f_b=None, w_ib_b=None):
+        """The state after a step of the mechanisation; the workspace is that of the step."""
+        state = self.record(nominal)
+        f_b = (self.f_b if f_b is None else f_b) - nominal["b_f"]
+        w_ib_b = (self.w_ib_b if w_ib_b is None else w_ib_b) - nominal["b_w"]
+        strapdown.mechanise(state[0], self.workspace, self.constants, f_b, w_ib_b, dt)
+        return {name: state[0][name].copy() for name in NOMINAL}
+
+    def transition(self, dt):
+        """Phi as the mechanisation has it, (n, n), from differences."""
+        after = self.moved(self.nominal, dt)
+        return self.jacobian(
+            lambda x: self.minus(self.moved(self.plus(self.nominal, x), dt), after)
+        )
+
+    def model(self, dt):
+        """F and Phi of the filter for that step."""
+        self.moved(self.nominal, dt)
+        error_state.dynamics(self.workspace, self.constants)
+        error_state.discretise(self.workspace, self.constants, dt)
+        return self.workspace["F"].copy(), self.workspace["Phi"].copy()
+
+    def innovation(self, nominal, v_d):
+        state = self.record(nominal)
+        error_state.dvl_measurement(state[0], self.workspace, self.constants, v_d, self.w_ib_b)
+        return self.workspace["innovation"].copy()
+
+
+def unit(rng):
+    x = rng.standard_normal(3)
+    return x / np.linalg.norm(x)
+
+
+@pytest.fixture(params=MODELS)
+def model(request):
+    return request.param
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_dynamics(model, seed):
+    """(Phi - I) / dt over 2e-5 s; the columns of position are in the next test."""
+    case, dt = Case(model, seed), 2e-5
+    F, Phi = case.model(dt)
+    measured = (case.transition(dt) - np.eye(15)) / dt
+    keep = np.delete(np.arange(15), np.arange(15)[POSITION])
+    np.testing.assert_allclose(measured[:, keep], ((Phi - np.eye(15)) / dt)[:, keep], atol=1e-8)
+    np.testing.assert_allclose(measured[:, keep], F[:, keep], atol=1e-3)  # Phi is that of F
+
+
+def test_what_is_left_out_of_the_dynamics_is_small(model):
+    """The columns of position: below 1e-5 at 20 m/s and 80 deg, and gravity's gradient leads."""
+    largest, dt = 0.0, 0.01
+    for seed in range(10):
+        case = Case(model, seed, speed=20.0, lat_deg=(-80.0, 80.0)[seed % 2])
+        F, _ = case.model(dt)
+        assert not F[:, POSITION].any()
+        left_out = (case.transition(dt) - np.eye(15))[:, POSITION] / dt
+        assert abs(left_out).max() < 1e-5
+        assert abs(left_out[2, 2]) == pytest.approx(3.08e-6, rel=0.01)
+        largest = max(largest, abs(left_out).max())
+    assert largest < 3.2e-6
+
+
+def test_transition_is_of_second_order(model):
+    """The error of Phi over one step falls with the third power of the step."""
+    for seed in range(3):
+        case = Case(model, seed, bias_model="gauss_markov")
+        keep = np.r_[0:12]
+        errors = []
+        for dt in (0.02, 0.01, 0.005):
+            _, Phi = case.model(dt)
+            errors.append(abs(case.transition(dt) - Phi)[:15, keep].max())
+        orders = np.log2(np.divide(errors[:-1], errors[1:]))
+        assert (orders > 2.8).all(), (orders, errors)
+        assert errors[1] < 5e-6
+
+
+def test_transition_of_the_dvl_error():
+    case, dt = Case("invariant", 0, bias_model="gauss_markov"), 0.05
+    _, Phi = case.model(dt)
+    np.testing.assert_allclose(
+        Phi[DVL_ERROR, DVL_ERROR], np.exp(-dt / 10.0) * np.eye(3), atol=1e-15
+    )
+    assert not Phi[:15, DVL_ERROR].any()
+    assert not Phi[DVL_ERROR, :15].any()
+
+    # The estimate goes the same way: without measurements nothing is known of an old error.
+    state = case.record(case.nominal)
+    state[0]["time_ns"], state[0]["imu_ns"] = NS, NS
+    end_ns = NS + round(dt * NS)
+    case.filter.predict_part(
+        state, end_ns, case.f_b, case.w_ib_b, np.hstack([case.f_b, case.w_ib_b]), end_ns
+    )
+    np.testing.assert_allclose(
+        state[0]["b_d"], np.exp(-dt / 10.0) * case.nominal["b_d"], rtol=1e-12
+    )
+
+
+@pytest.mark.parametrize("bias_model", ["none", "gauss_markov"])
+@pytest.mark.parametrize("seed", range(5))
+def test_measurement(model, seed, bias_model):
+    """H is the derivative of h, but for the transport rate in w_nb: 1e-7 per metre of arm."""
+    case = Case(model, seed, bias_model=bias_model)
+    measured = -case.jacobian(lambda x: case.innovation(case.plus(case.nominal, x), np.zeros(3)))
+    case.innovation(case.nominal, np.zeros(3))
+    H = case.workspace["H"].copy()
+
+    W_v = np.zeros((3, 3))
+    lat = earth.latitude(
+        np.radians(case.filter.parameters.origin.latitude_deg), -50.0, case.nominal["p_n"][0]
+    )
+    a, b, c = earth.transport_rate_coefficients(lat, -50.0 - case.nominal["p_n"][2])
+    W_v[0, 1], W_v[1, 0], W_v[2, 1] = a, b, c
+    C_b_n, l_b = case.nominal["C_n_b"].T, case.constants["l_b"]
+    left_out = np.zeros((3, case.n))
+    left_out[:, VELOCITY] = case.constants["C_d_b"] @ skew(l_b) @ C_b_n @ W_v
+    if case.invariant:
+        left_out[:, ATTITUDE] = -left_out[:, VELOCITY] @ skew(case.nominal["v_n"])
+    assert abs(left_out).max() < 1e-5
+
+    keep = np.delete(np.arange(case.n), np.arange(case.n)[POSITION])
+    np.testing.assert_allclose(measured[:, keep], (H + left_out)[:, keep], atol=1e-8)
+    assert not H[:, POSITION].any()
+    assert abs(measured[:, POSITION]).max() < 1e-10
+
+
+def test_measurement_is_the_velocity_at_the_dvl():
+    """h from the definition, with the arm between IMU and DVL and the Earth rate taken out."""
+    case = Case("invariant", 7, bias_model="gauss_markov")
+    v_d = np.array([0.3, 0.2, -0.1])
+    innovation = case.innovation(case.nominal, v_d)
+    C_n_b, mount = case.nominal["C_n_b"], Rotation.from_euler("xyz", [0.02, -0.3, 0.8])
+    arm = np.array([-0.8, 0.5, 1.1]) - [0.3, -0.2, 0.1]
+    rate = 7.292115e-5
+    lat = np.radians(case.filter.parameters.origin.latitude_deg)
+    w_in_n = rate * np.array([np.cos(lat), 0.0, -np.sin(lat)])  # transport rate: below 1e-5
+    w_nb_b = case.w_ib_b - case.nominal["b_w"] - C_n_b.T @ w_in_n
+    v_b = C_n_b.T @ case.nominal["v_n"] + np.cross(w_nb_b, arm)
+    expected = v_d - mount.as_matrix().T @ v_b - case.nominal["b_d"]
+    np.testing.assert_allclose(innovation, expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_input_noise(model, seed):
+    """Q_d / dt is G Q G^T with G the response of the step to the samples' errors."""
+    case, dt = Case(model, seed), 2e-5
+    case.model(dt)
+    error_state.input_noise(
+        case.record(case.nominal)[0], case.workspace, case.constants, case.Q_f, case.Q_w, dt
+    )
+    Q_d = case.workspace["Q_d"].copy()
+    after = case.moved(case.nominal, dt)
+    G = np.zeros((15, 12))
+    for i, axis in enumerate(np.eye(3)):
+        moved_f = case.moved(case.nominal, dt, f_b=case.f_b + axis)
+        moved_w = case.moved(case.nominal, dt, w_ib_b=case.w_ib_b + 1e-3 * axis)
+        G[:, i] = case.minus(moved_f, after) / dt
+        G[:, 3 + i] = case.minus(moved_w, after) / dt / 1e-3
+    G[ACCELEROMETER_BIAS, 6:9] = G[GYROSCOPE_BIAS, 9:12] = np.eye(3)
+    Q = np.zeros((12, 12))
+    Q[:3, :3], Q[3:6, 3:6] = case.Q_f, case.Q_w
+    Q[6:9, 6:9], Q[9:12, 9:12] = 3e-4 * np.eye(3), 2e-5 * np.eye(3)
+    # Position hears of it over half a step: 1e-5 s times the velocity's.
+    np.testing.assert_allclose(Q_d / dt, G @ Q @ G.T, atol=1e-7)
+
+
+def test_dvl_error_keeps_its_stationary_variance():
+    """Whatever the step: it is a stationary process."""
+    for dt in (0.001, 0.01, 0.1):
+        case = Case("invariant", 1, bias_model="gauss_markov")
+        case.model(dt)
+        state = case.record(case.nominal)[0]
+        error_state.input_noise(state, case.workspace, case.constants, case.Q_f, case.Q_w, dt)
+        P = np.eye(18) * case.constants["bias_variance"]
+        error_state.propagate(P, case.workspace)
+        variance = np.diagonal(P)[DVL_ERROR]
+        np.testing.assert_allclose(variance, case.constants["bias_variance"], rtol=1e-12)
+
+
+@pytest.mark.parametrize("bias_model", ["none", "gauss_markov"])
+def test_covariance_over_a_step(model, bias_model):
+    """Phi (P + Q_d / 2) Phi^T + Q_d / 2 is, to second order, what the matrix exponential gives."""
+    case = Case(model, 3, bias_model=bias_model)
+    n, errors = case.n, []
+    rng = np.random.default_rng(4)
+    root = rng.standard_normal((n, n))
+    P_0 = root @ root.T * 1e-4
+    for dt in (0.04, 0.02, 0.01):
+        F, _ = case.model(dt)
+        state = case.record(case.nominal)[0]
+        error_state.input_noise(state, case.workspace, case.constants, case.Q_f, case.Q_w, dt)
+        noise = case.workspace["Q_d"] / dt
+        if n > 15:
+            F[DVL_ERROR, DVL_ERROR] = -0.1 * np.eye(3)
+            noise[DVL_ERROR, DVL_ERROR] = 0.2 * case.constants["bias_variance"] * np.eye(3)
+        Phi, Q_d = van_loan(F, noise, dt)
+        P = P_0.copy()
+        error_state.propagate(P, case.workspace)
+        np.testing.assert_array_equal(P, P.T)
+        errors.append(abs(P - Phi @ P_0 @ Phi.T - Q_d).max())
+    orders = np.log2(np.divide(errors[:-1], errors[1:]))
+    assert (orders > 2.8).all(), (orders, errors)
+
+
+def test_injection_moves_by_the_error(model):
+    """The nominal state becomes the true one, for large errors too."""
+    case = Case(model, 5, bias_model="gauss_markov")
+    x = np.random.default_rng(6).uniform(-0.5, 0.5, 18)
+    state = case.record(case.nominal)
+    case.workspace["K"], case.workspace["innovation"] = 0.0, (0.0, 2.0, 0.0)
+    case.workspace["K"][:, 1] = x / 2.0
+    error_state.inject(state[0], case.workspace, case.constants)
+    expected = case.plus(case.nominal, x)
+    for name in NOMINAL:
+        np.testing.assert_allclose(state[0][name], expected[name], atol=1e-13, err_msg=name)
+
+
+@pytest.mark.parametrize("velocity_frame", ["body", "nav"])
+def test_initial_errors_to_those_of_the_model(model, velocity_frame):
+    """A true state with an error in the declared velocity, in the model's coordinates."""
+    case = Case(model, 8)
+    C_n_b, v_n = case.nominal["C_n_b"], case.nominal["v_n"]
+
+    def error(x):
+        true = case.plus(case.nominal, x)
+        if velocity_frame == "body":
+            true["v_n"] = true["C_n_b"] @ (C_n_b.T @ v_n + x[VELOCITY])
+        else:
+            true["v_n"] = v_n + x[VELOCITY]
+        return case.minus(true, case.nominal)
+
+    T = error_state.from_ordinary_errors(
+        C_n_b, v_n, invariant=case.invariant, velocity_frame=velocity_frame, n=15
+    )
+    np.testing.assert_allclose(T, case.jacobian(error), atol=1e-8)
+
+
+def test_body_velocity_jacobian(model):
+    case = Case(model, 9, bias_model="gauss_markov")
+    C_n_b, v_n = case.nominal["C_n_b"], case.nominal["v_n"]
+
+    def body_velocity(x):
+        true = case.plus(case.nominal, x)
+        return true["C_n_b"].T @ true["v_n"]
+
+    J = error_state.body_velocity_jacobian(C_n_b, v_n, invariant=case.invariant, n=18)
+    np.testing.assert_allclose(J, case.jacobian(body_velocity), atol=1e-8)
+    many = error_state.body_velocity_jacobian(
+        np.stack([np.eye(3), C_n_b]), np.stack([-v_n, v_n]), invariant=case.invariant, n=18
+    )
+    np.testing.assert_array_equal(many[1], J)

@@ -1,0 +1,95 @@
+"""Whatever messages the filter is given, it goes on, and what it says could be true."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from insdvl.messages.convert import RejectedMessage
+from insdvl.messages.inputs import Inputs
+from insdvl.navigation.events import NS
+from insdvl.navigation.odometry import Odometry, biases
+from insdvl.navigation.parameters import FilterParameters
+from insdvl.parameters.declaration import build
+from insdvl.studies.faults.fuzz import Adversary
+from insdvl.timeline.fold import AppliedUpdate, Fold, TimeJump
+
+COUNT = 800
+SETTINGS: dict[str, dict[str, Any]] = {
+    "default": {},
+    "all that can be told": {
+        "process_noise.source": "external",
+        "dvl.bias_model": "gauss_markov",
+        "dvl.lever_arm": (1.0, 0.5, -0.2),
+        "imu.lever_arm": (0.1, 0.0, 0.3),
+        "imu.mount": (0.1, -0.2, 0.3),
+    },
+    "late output, ned": {"error_state": "ned", "output_delay": 1.5},
+    "started by messages": {"initial.mode": "topic", "origin.source": "topic"},
+    "levelling": {"initial.mode": "levelling", "process_noise.source": "message"},
+    "adaptive": {"process_noise.source": "adaptive", "gate.probability": 0.9},
+    "variational": {
+        "process_noise.source": "adaptive",
+        "process_noise.adaptive_form": "variational",
+    },
+}
+
+
+def check(output: Odometry) -> None:
+    for values in (
+        output.position,
+        output.quaternion_xyzw,
+        output.pose_covariance,
+        output.twist_linear,
+        output.twist_angular,
+        output.twist_covariance,
+    ):
+        assert np.isfinite(values).all(), output
+    assert np.linalg.norm(output.quaternion_xyzw) == pytest.approx(1.0, abs=1e-9)
+    for P in (output.pose_covariance, output.twist_covariance):
+        assert np.array_equal(P, P.T)
+        assert (np.diag(P) > 0.0).all()
+
+
+def check_state(fold: Fold) -> None:
+    state = fold.latest
+    if state is None:
+        return
+    P = state["P"]
+    assert np.isfinite(P).all()
+    assert np.array_equal(P, P.T)
+    scale = 1.0 / np.sqrt(np.diag(P))
+    assert np.linalg.eigvalsh(scale[:, None] * P * scale)[0] > 0.0
+    told = biases(fold.filter, state)
+    assert np.isfinite(told.accelerometer).all() and np.isfinite(told.gyroscope).all()
+    np.testing.assert_allclose(state["C_n_b"] @ state["C_n_b"].T, np.eye(3), atol=1e-9)
+
+
+@pytest.mark.parametrize("odd", [0.02, 0.3])
+@pytest.mark.parametrize("name", SETTINGS)
+def test_any_messages(name: str, odd: float) -> None:
+    parameters = build(FilterParameters, SETTINGS[name])
+    fold, inputs = Fold(parameters, capacity=64), Inputs(parameters)
+    adversary = Adversary(np.random.default_rng([len(name), round(100 * odd)]), odd=odd)
+    newest_ns, outputs = -1, 0
+    for k, (topic, message) in enumerate(adversary.messages(inputs.topics, COUNT)):
+        try:
+            for event in inputs.events(topic, message, fold):
+                fold.add(event)
+        except RejectedMessage as rejection:
+            assert rejection.reason.isidentifier()
+        for output in fold.take():
+            if isinstance(output, TimeJump):
+                newest_ns = -1
+                inputs.reset()
+            elif isinstance(output, AppliedUpdate):
+                assert output.report.reason or output.report.accepted
+            else:
+                assert output.stamp_ns > newest_ns
+                newest_ns = output.stamp_ns
+                outputs += 1
+                check(output)
+        if k % 10 == 0:
+            check_state(fold)
+    assert outputs > (0.3 if odd < 0.1 else 0.01) * COUNT
+    assert newest_ns <= 2**31 * NS

@@ -1,0 +1,535 @@
+"""The gate: what passes, what does not, and that no error of the filter locks it for ever."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from insdvl.navigation.error_state import ATTITUDE, VELOCITY, body_velocity_jacobian
+from insdvl.navigation.events import NS, Dvl, Initial
+from insdvl.navigation.filter import Filter
+from insdvl.navigation.parameters import (
+    DvlParameters,
+    FilterParameters,
+    GateParameters,
+    ImuParameters,
+    InitialParameters,
+    OriginParameters,
+    ProcessNoiseParameters,
+)
+from insdvl.simulation.dvl import DvlModel
+from insdvl.simulation.mission import ImuModel, Mission, simulate
+from insdvl.simulation.noise import constant, segments
+from insdvl.simulation.trajectories import AUV
+from insdvl.timeline.fold import FoldResult, run
+
+SEED = 161_803
+RUNS = 20
+VARIANCES = [1e-4] * 3 + [1e-6] * 3
+IMU = ImuModel(accelerometer_bias_walk=1e-9, gyroscope_bias_walk=1e-13)
+DVL_STD = 0.05
+LIMIT = 4  # seconds, and pings: there is one each second
+
+
+def parameters(error_state: str = "invariant", **gate: object) -> FilterParameters:
+    return FilterParameters(
+        frame_convention="ned",
+        error_state=error_state,
+        dvl=DvlParameters(noise_std=(DVL_STD,) * 3),
+        gate=GateParameters(**({"max_rejection_time": float(LIMIT)} | gate)),
+        process_noise=ProcessNoiseParameters(
+            accelerometer_variance=tuple(VARIANCES[:3]), gyroscope_variance=tuple(VARIANCES[3:])
+        ),
+        initial=InitialParameters(mode="set_odometry", velocity_std=0.02, heading_std=0.01),
+        origin=OriginParameters(height=float(AUV.h_0)),
+    )
+
+
+def mission(seed: int = SEED, duration: float = 60.0, **dvl: object) -> Mission:
+    model = DvlModel(noise_std=np.full(3, DVL_STD), **dvl)
+    return simulate(AUV, constant(VARIANCES), seed=seed, duration=duration, imu=IMU, dvl=model)
+
+
+def fly(
+    settings: FilterParameters,
+    m: Mission,
+    v_d: np.ndarray,
+    *,
+    seed: int = SEED,
+    without: int | slice | None = None,
+    gap: slice | None = None,
+    R: np.ndarray | None = None,
+) -> FoldResult:
+    """Start with an error drawn from P_0; take ``v_d`` (M, 3) as the pings, less some of them.
+
+    The samples of a gap are missing as well.
+    """
+    rng = np.random.default_rng([seed, 1])
+    initial = settings.initial
+    stds = [initial.tilt_std, initial.tilt_std, initial.heading_std]
+    C = m.initial.C_n_b[0]
+    start = Initial(
+        stamp_ns=0,
+        C_n_b=Rotation.from_rotvec(rng.standard_normal(3) * stds).as_matrix().T @ C,
+        p_n=m.initial.p_n[0] - initial.position_std * rng.standard_normal(3),
+        v=C.T @ m.initial.v_n[0] - initial.velocity_std * rng.standard_normal(3),
+        velocity_frame="body",
+    )
+    pings = [Dvl(t, v, R) for t, v in zip(m.dvl_stamps_ns.tolist(), v_d, strict=True)]
+    if without is not None:
+        del pings[without]
+    samples = [m.stamps_ns, m.f_b, m.w_ib_b]
+    if gap is not None:
+        samples = [np.delete(array, gap, axis=0) for array in samples]
+    return run(settings, *samples, [start, *pings])
+
+
+def body_velocity_error(result: FoldResult, m: Mission) -> np.ndarray:
+    v_b = np.einsum("kji,kj->ki", result.states["C_n_b"], result.states["v_n"])
+    return np.einsum("kji,kj->ki", m.truth.C_n_b, m.truth.v_n) - v_b
+
+
+@pytest.mark.parametrize("probability", [0.9, 0.999])
+def test_the_threshold_is_chi_square_with_three_degrees_of_freedom(probability: float) -> None:
+    """The same ping, with its innovation scaled to lie just inside and just outside."""
+    m = mission(duration=5.0)
+    settings = parameters(probability=probability)
+    before = fly(settings, m, m.v_d).updates[-1].report
+    predicted = m.v_d[-1] - before.innovation
+    for factor, accepted in ((0.999, True), (1.001, False)):
+        scale = factor * np.sqrt(chi2.ppf(probability, 3) / before.nis)
+        v_d = m.v_d.copy()
+        v_d[-1] = predicted + scale * before.innovation
+        report = fly(settings, m, v_d).updates[-1].report
+        assert report.nis == pytest.approx(factor**2 * chi2.ppf(probability, 3), rel=1e-6)
+        expected = float(report.innovation @ np.linalg.solve(report.S, report.innovation))
+        assert report.nis == pytest.approx(expected, rel=1e-9)
+        assert (report.accepted, report.reason) == (accepted, "" if accepted else "gate")
+
+
+def test_of_good_measurements_as_many_pass_as_the_probability_says() -> None:
+    """The limit is so high that the filter never recovers by force."""
+    settings = parameters(probability=0.9, max_rejection_time=1000.0)
+    rejected = total = 0
+    for seed in range(SEED, SEED + RUNS):
+        m = mission(seed)
+        reports = [u.report for u in fly(settings, m, m.v_d, seed=seed).updates]
+        rejected += sum(not r.accepted for r in reports)
+        total += len(reports)
+    # A rejection makes the filter a little less sure and the next one a little less likely.
+    sigma = np.sqrt(0.09 / total)
+    assert abs(rejected / total - 0.1) < 3.3 * sigma + 0.005
+
+
+def test_a_single_outlier_leaves_no_trace() -> None:
+    """The result is that of a mission without this ping."""
+    m = mission()
+    at = 20
+    v_d = m.v_d.copy()
+    v_d[at] += [2.0, -1.0, 0.5]
+    spoilt = fly(parameters(), m, v_d)
+    report = spoilt.updates[at].report
+    assert (report.accepted, report.reason) == (False, "gate")
+    assert sum(not u.report.accepted for u in spoilt.updates) == 1
+    clean = fly(parameters(), m, v_d, without=at)
+    np.testing.assert_allclose(spoilt.states["v_n"], clean.states["v_n"], atol=1e-9)
+    assert not any(spoilt.counts[name] for name in ("inflations", "restarts"))
+
+
+def test_only_rejections_in_a_row_have_a_consequence() -> None:
+    m = mission()
+    v_d = m.v_d.copy()
+    v_d[5::5] += [3.0, 0.0, 0.0]  # more than twice the limit in all
+    result = fly(parameters(), m, v_d)
+    assert [not u.report.accepted for u in result.updates] == [
+        k > 0 and k % 5 == 0 for k in range(len(v_d))
+    ]
+    assert not any(result.counts[name] for name in ("inflations", "restarts"))
+
+
+@pytest.mark.parametrize("error_state", ["invariant", "ned"])
+def test_a_filter_that_is_wrong_recovers(error_state: str) -> None:
+    """The velocity jumps by 3 m/s, as after a collision that the IMU did not measure."""
+    m = mission(duration=40.0)
+    jump_at = 20
+    jump = np.array([2.0, -2.0, 1.0])
+    v_d = m.v_d.copy()
+    v_d[jump_at:] += jump
+    result = fly(parameters(error_state), m, v_d)
+    reasons = [u.report.reason for u in result.updates]
+    assert reasons[:jump_at] == [""] * jump_at
+    first = jump_at + LIMIT + 1
+    assert reasons[jump_at:first] == ["gate"] * (LIMIT + 1)
+    assert reasons[first:] == [""] * (len(reasons) - first)
+    assert result.counts["inflations"] == 1
+    error = body_velocity_error(result, m)[-1]
+    np.testing.assert_allclose(error, -jump, atol=4 * DVL_STD)
+
+
+def test_after_the_limit_velocity_and_tilt_may_be_what_makes_the_innovation() -> None:
+    m = mission()
+    jump_at = 20
+    v_d = m.v_d.copy()
+    v_d[jump_at:] += [2.0, -2.0, 1.0]
+    result = fly(parameters(), m, v_d)
+    last = jump_at + LIMIT
+    k = int(np.searchsorted(m.stamps_ns, m.dvl_stamps_ns[last]))
+    innovation = result.updates[last].report.innovation
+    before, after = result.states[k - 1]["P"], result.states[k]["P"]
+    # The velocity by the innovation; and once more, about the level axes, by a tilt that has led it
+    # there in the 5 s since the last accepted measurement, fully correlated with that tilt.
+    growth, square = after - before, innovation @ innovation
+    assert result.updates[jump_at - 1].report.accepted
+    expected = np.diag([2.0, 2.0, 1.0]) * square
+    np.testing.assert_allclose(growth[VELOCITY, VELOCITY], expected, rtol=1e-3, atol=1e-3)
+    tilt = square / (9.8 * (LIMIT + 1)) ** 2
+    np.testing.assert_allclose(
+        growth[ATTITUDE, ATTITUDE], np.diag([tilt, tilt, 0.0]), rtol=2e-3, atol=1e-5
+    )
+    northwards, eastwards = growth[VELOCITY, ATTITUDE][0, 1], growth[VELOCITY, ATTITUDE][1, 0]
+    np.testing.assert_allclose([northwards, -eastwards], -np.sqrt(square * tilt), rtol=2e-3)
+    assert result.states["inflations"][k - 1 : k + 1].tolist() == [0, 1]
+
+
+def with_nonsense(m: Mission, at: int) -> np.ndarray:
+    """Off by 3 m/s, which the covariance is inflated for, then to and fro by far more than that."""
+    v_d = m.v_d.copy()
+    inflated, restarted = at + LIMIT + 1, at + 2 * LIMIT + 1
+    v_d[at:inflated] += [3.0, 0.0, 0.0]
+    v_d[inflated:restarted:2] += [50.0, 0.0, 0.0]
+    v_d[inflated + 1 : restarted : 2] -= [50.0, 0.0, 0.0]
+    return v_d
+
+
+@pytest.mark.parametrize("error_state", ["invariant", "ned"])
+def test_when_inflation_does_not_help_the_velocity_starts_again(error_state: str) -> None:
+    m = mission()
+    at = 20
+    v_d = with_nonsense(m, at)
+    result = fly(parameters(error_state), m, v_d)
+    reports = [u.report for u in result.updates]
+    last = at + 2 * LIMIT
+    assert [r.reason for r in reports[at:last]] == ["gate"] * (2 * LIMIT)
+    assert (reports[last].accepted, reports[last].reason) == (True, "restarted")
+    k = int(np.searchsorted(m.stamps_ns, m.dvl_stamps_ns[last]))
+    s = result.states[k]
+    np.testing.assert_allclose(s["C_n_b"].T @ s["v_n"], v_d[last], rtol=1e-9)
+    # As uncertain as ping and filter are apart, and in body axes independent of everything else.
+    invariant = error_state == "invariant"
+    J = body_velocity_jacobian(s["C_n_b"], s["v_n"], invariant=invariant, n=15)
+    doubt = DVL_STD**2 * np.eye(3) + np.outer(reports[last].innovation, reports[last].innovation)
+    np.testing.assert_allclose(J @ s["P"] @ J.T, doubt, rtol=1e-6, atol=1e-9)
+    rest = np.delete(J @ s["P"], np.r_[0:3], axis=1)
+    scale = DVL_STD * np.sqrt(np.diag(s["P"])[3:])
+    assert np.abs(rest / scale).max() < (1e-9 if invariant else 1e-2)
+    assert np.linalg.eigvalsh(s["P"] / np.sqrt(np.outer(np.diag(s["P"]), np.diag(s["P"]))))[0] > 0.0
+
+
+def test_a_wrong_restart_is_left_again() -> None:
+    """Nonsense for as long as it takes to restart, then good pings: these win in the end."""
+    m = mission()
+    result = fly(parameters(), m, with_nonsense(m, 10))
+    assert result.counts["restarts"] == 1
+    assert np.isfinite(result.states["P"]).all()
+    good = [u.report.accepted for u in result.updates[-20:]]
+    assert good == [True] * 20
+    assert np.abs(body_velocity_error(result, m)[-1]).max() < 5 * DVL_STD
+
+
+def test_a_disabled_gate_accepts_everything() -> None:
+    m = mission(duration=10.0)
+    result = fly(parameters(enabled=False), m, m.v_d + np.array([50.0, 0.0, 0.0]))
+    assert all(u.report.accepted for u in result.updates)
+    assert result.updates[0].report.nis > 1e3
+
+
+def test_a_filter_that_is_far_too_sure_of_itself_is_not_lost() -> None:
+    """The true variances change between a tenth and fifty times those that the filter believes."""
+    believed = ProcessNoiseParameters(
+        accelerometer_variance=(0.01,) * 3, gyroscope_variance=(0.001,) * 3
+    )
+    lost = 0
+    for seed in range(SEED, SEED + RUNS // 2):
+        m = simulate(AUV, segments(1e-3, 0.05), seed=seed, imu=IMU)
+        settings = replace(
+            parameters(max_rejection_time=60.0), dvl=DvlParameters(), process_noise=believed
+        )
+        result = fly(settings, m, m.v_d, seed=seed)
+        error = np.linalg.norm(body_velocity_error(result, m), axis=1)
+        lost += bool((np.convolve(error > 5.0, np.ones(1000)) >= 999.5).any())  # 10 s in a row
+    assert lost <= 1
+
+
+# ------------------------------------------------------------------ who is trusted
+
+
+def test_a_filter_that_nothing_has_borne_out_rejects_once() -> None:
+    """Then it is as uncertain as both are apart: the next measurement tells which was right."""
+    m = mission()
+    v_d = m.v_d.copy()
+    v_d[0] += [3.0, 0.0, 0.0]
+    result = fly(parameters(max_rejection_time=60.0), m, v_d)
+    assert [u.report.reason for u in result.updates] == ["gate"] + [""] * 59
+    assert (result.counts["inflations"], result.counts["restarts"]) == (1, 0)
+    k = int(np.searchsorted(m.stamps_ns, m.dvl_stamps_ns[0]))
+    assert np.abs(in_sigmas(result, m)[k]).max() < 3.0
+    assert np.abs(body_velocity_error(result, m)[-1]).max() < 5 * DVL_STD
+
+
+@pytest.mark.parametrize("outage", [0, 6, 20])
+def test_trust_is_the_time_of_accepted_measurements_less_twice_that_of_outages(outage: int) -> None:
+    m = mission()
+    settings = parameters(max_rejection_time=60.0)
+    result = fly(settings, m, m.v_d, without=slice(30, 30 + outage))
+    k = int(np.searchsorted(m.stamps_ns, m.dvl_stamps_ns[30 + outage]))
+    # The measurement behind the outage is outage + 1 s after the one before it.
+    after = 30 if outage == 0 else max(29 - 2 * (outage + 1), 0)
+    assert result.counts["restarts"] == 0
+    assert result.states["trusted_for"][k] == after * NS
+    # The most is what the parameter says.
+    bounded = fly(parameters(max_rejection_time=10.0), m, m.v_d)
+    assert bounded.states["trusted_for"].max() == 10 * NS
+
+
+def test_what_an_outage_may_have_hidden_is_refused_for_five_seconds_at_most() -> None:
+    m = mission(duration=43.0)
+    v_d = m.v_d.copy()
+    v_d[30:] += [5.0, 0.0, 0.0]
+    settings = parameters(max_rejection_time=60.0)
+    result = fly(settings, m, v_d, without=slice(20, 30))
+    reasons = [u.report.reason for u in result.updates]
+    assert reasons == [""] * 20 + ["gate"] * 6 + [""] * 7
+    # Without the outage the DVL is at fault, and the filter trusted for 29 s.
+    assert [u.report.reason for u in fly(settings, m, v_d).updates][30:] == ["gate"] * 13
+
+
+def test_what_a_gap_may_have_hidden_is_refused_for_five_seconds_at_most() -> None:
+    """Two seconds of samples are missing, and in them the velocity has changed by 3 m/s."""
+    m = mission(duration=43.0)
+    v_d = m.v_d.copy()
+    v_d[30:] += [3.0, 0.0, 0.0]
+    imu = ImuParameters(gap_acceleration_std=0.05, gap_rate_std=0.002)
+    settings = replace(parameters(max_rejection_time=60.0), imu=imu)
+    reasons = [u.report.reason for u in fly(settings, m, v_d, gap=slice(2890, 3090)).updates]
+    first = reasons.index("gate")
+    assert first in (29, 30) and reasons[first:].count("gate") <= 7
+    assert not any(reasons[first + 7 :])
+    # Without the gap the DVL is at fault, and the filter trusted for 29 s.
+    assert [u.report.reason for u in fly(settings, m, v_d).updates][30:] == ["gate"] * 13
+
+
+def test_a_mean_nis_that_is_too_large_takes_the_trust_away() -> None:
+    """An honest filter keeps it; one whose R is eight times too small in variance has none."""
+    m = mission(duration=120.0)
+    settings = parameters(max_rejection_time=60.0, probability=1.0 - 1e-9)
+    honest = fly(settings, m, m.v_d).states["trusted_for"]
+    assert (honest[6500:] == 60 * NS).all()
+    sure = fly(settings, m, m.v_d, R=np.eye(3) * DVL_STD**2 / 8.0)
+    assert (sure.states["trusted_for"][3000:] < 30 * NS).all()
+    assert sure.states["trusted_for"][3000:].min() == 0
+    nis = [u.report.nis for u in sure.updates]
+    assert np.mean(nis) > 7.0
+
+
+def test_drift_ends_the_patience_and_a_constant_error_does_not() -> None:
+    """The innovation grows by 0.5 m/s with every measurement, and stays at 5 m/s."""
+    m = mission(duration=44.0)
+    settings = parameters(max_rejection_time=60.0)
+    grows, stays = m.v_d.copy(), m.v_d.copy()
+    grows[20:] += np.arange(2, 26)[:, None] * [0.5, 0.0, 0.0]
+    stays[20:36] += [5.0, 0.0, 0.0]
+    reasons = [u.report.reason for u in fly(settings, m, grows).updates]
+    assert reasons[20] == "gate" and reasons[20:].count("gate") < 10
+    reasons = [u.report.reason for u in fly(settings, m, stays).updates]
+    assert reasons[20:] == ["gate"] * 16 + [""] * 8
+
+
+# ------------------------------------------------------------------ a DVL that is at fault
+
+
+def in_sigmas(result: FoldResult, m: Mission) -> np.ndarray:
+    """(N, 3) errors of the body velocity at all stamps, in sigmas."""
+    J = body_velocity_jacobian(result.states["C_n_b"], result.states["v_n"], invariant=True, n=15)
+    variance = np.einsum("kij,kjl,kil->ki", J, result.states["P"], J)
+    return body_velocity_error(result, m) / np.sqrt(variance)
+
+
+@pytest.mark.parametrize(
+    ("variances", "dvl_std", "direction"),
+    [
+        ([1e-6] * 3 + [1e-10] * 3, DVL_STD, [1.0, 0.0, 0.0]),
+        (VARIANCES, DVL_STD, [-0.6, 0.6, 0.53]),
+        ([1e-2] * 3 + [1e-3] * 3, 0.1, [0.0, -0.7, 0.71]),
+    ],
+    ids=["navigation", "tactical", "poor"],
+)
+def test_a_bias_of_half_a_minute_does_no_harm(
+    variances: list[float], dvl_std: float, direction: list[float]
+) -> None:
+    """A good IMU goes without the DVL throughout; a poor one until its own error would be larger.
+
+    The sigma covers the error all the time, and what comes after the bias is used.
+    """
+    settings = replace(
+        parameters(max_rejection_time=60.0),
+        dvl=DvlParameters(noise_std=(dvl_std,) * 3),
+        process_noise=ProcessNoiseParameters(
+            accelerometer_variance=tuple(variances[:3]), gyroscope_variance=tuple(variances[3:])
+        ),
+    )
+    biased = slice(40, 70)
+    worst, refused, lost = [], [], []
+    for seed in range(SEED, SEED + RUNS):
+        model = DvlModel(noise_std=np.full(3, dvl_std))
+        m = simulate(AUV, constant(variances), seed=seed, duration=90.0, imu=IMU, dvl=model)
+        v_d = m.v_d.copy()
+        v_d[biased] += direction
+        result = fly(settings, m, v_d, seed=seed)
+        accepted = np.array([u.report.accepted for u in result.updates])
+        refused.append(not accepted[biased].any())
+        lost.append(not accepted[biased.stop :].all())
+        worst.append(np.abs(in_sigmas(result, m)).max())
+        error = np.linalg.norm(body_velocity_error(result, m), axis=1)
+        # It goes without the DVL until one sigma is as large as the bias.
+        assert error.max() < 3.0 * np.linalg.norm(direction)
+        assert not any(result.counts[name] for name in ("inflations", "restarts"))
+    if variances[0] < 1e-2:
+        assert all(refused)
+    # Where the IMU drifts as fast as the bias ends, the end may be missed, and the sigma grows on.
+    assert sum(lost) <= 2
+    # Of 9000 times 3 errors, correlated over seconds, the largest is hardly beyond five sigma.
+    assert max(worst) < 5.5
+
+
+def test_a_burst_of_outliers_leaves_no_trace() -> None:
+    """Ten in a row, each in a direction of its own."""
+    m = mission()
+    v_d = m.v_d.copy()
+    v_d[20:30] += 2.0 * np.random.default_rng(SEED).standard_normal((10, 3))
+    result = fly(parameters(max_rejection_time=60.0), m, v_d)
+    accepted = [u.report.accepted for u in result.updates]
+    assert accepted == [True] * 20 + [False] * 10 + [True] * 30
+    assert np.abs(in_sigmas(result, m)).max() < 5.5
+
+
+def test_one_outlier_after_an_outage_restarts_nothing() -> None:
+    """However long the last accepted measurement is ago: only rejections make the filter doubt."""
+    m = mission(duration=60.0, outages=((20.5, 50.5),))
+    v_d = m.v_d.copy()
+    v_d[20] += [30.0, 0.0, 0.0]
+    result = fly(parameters(), m, v_d)
+    assert [k for k, u in enumerate(result.updates) if not u.report.accepted] == [20]
+    assert not any(result.counts[name] for name in ("inflations", "restarts"))
+
+
+# ------------------------------------------------------------------ lost bottom lock
+
+
+def without_memory(result: FoldResult) -> list[bytes]:
+    names = [n for n in result.states.dtype.names or () if n != "v_d"]
+    return [result.states[n].tobytes() for n in names]
+
+
+@pytest.mark.parametrize("fault", ["zeros", "negative zeros", "repeats"])
+def test_without_bottom_lock_it_is_as_without_pings(fault: str) -> None:
+    """To the bit; and what comes afterwards is used."""
+    m = mission()
+    lost = slice(20, 50)
+    v_d = m.v_d.copy()
+    v_d[lost] = {"zeros": 0.0, "negative zeros": -0.0, "repeats": v_d[19]}[fault]
+    settings = parameters()
+    spoilt = fly(settings, m, v_d)
+    reason = "repeated" if fault == "repeats" else "no_lock"
+    reasons = [u.report.reason for u in spoilt.updates]
+    assert reasons == [""] * 20 + [reason] * 30 + [""] * 10
+    seen = np.delete(np.arange(len(v_d)), lost)
+    away = replace(m, dvl_stamps_ns=m.dvl_stamps_ns[seen], v_d=m.v_d[seen])
+    assert without_memory(spoilt) == without_memory(fly(settings, away, away.v_d))
+
+
+def test_two_publishers_of_one_dvl_count_once() -> None:
+    """The second one's stamps are its own, a moment later."""
+    m = mission()
+    twice = replace(
+        m,
+        dvl_stamps_ns=np.stack([m.dvl_stamps_ns, m.dvl_stamps_ns + 5_000_000], axis=1).ravel()[:-1],
+        v_d=np.repeat(m.v_d, 2, axis=0)[:-1],
+    )
+    result = fly(parameters(), twice, twice.v_d)
+    assert [u.report.reason for u in result.updates] == (["", "repeated"] * len(m.v_d))[:-1]
+    once = fly(parameters(), m, m.v_d)
+    variances = [np.diagonal(each.states["P"], axis1=1, axis2=2) for each in (result, once)]
+    np.testing.assert_allclose(*variances, rtol=1e-6)
+
+
+def test_a_vehicle_at_rest_may_say_so() -> None:
+    m = mission(duration=10.0)
+    settings = parameters(enabled=False)
+    settings = replace(settings, dvl=replace(settings.dvl, lock_check=False))
+    result = fly(settings, m, np.zeros_like(m.v_d))
+    assert all(u.report.accepted for u in result.updates)
+
+
+# ------------------------------------------------------------------ numbers out of proportion
+
+
+@pytest.mark.parametrize("enabled", [True, False])
+def test_numbers_beyond_all_numbers_leave_the_state_alone(enabled: bool) -> None:
+    """A gate that is off lets everything pass that can be computed with."""
+    m = mission(duration=10.0)
+    settings = parameters(enabled=enabled)
+    filter_ = Filter(settings)
+    state = fly(settings, m, m.v_d).states[-1:].copy()
+    before = state.tobytes()
+    for v_d, reason in ((1e200, "not_finite"), (1e-3, "bad_covariance")):
+        R = np.eye(3) * (1.0 if reason == "not_finite" else -1.0)
+        state["v_d"] = np.nan
+        dvl = Dvl(int(state[0]["time_ns"]), np.full(3, v_d), R)
+        report = filter_.update(state, dvl, np.zeros(3), 1)
+        assert (report.accepted, report.reason) == (False, reason)
+    state["v_d"] = fly(settings, m, m.v_d).states[-1]["v_d"]
+    assert state.tobytes() == before
+
+
+# ------------------------------------------------------------------ outages
+
+
+@pytest.mark.parametrize("outage", [10.0, 120.0])
+def test_an_outage_is_covered_and_left_smoothly(outage: float) -> None:
+    """30 s of pings, an outage, 30 s of pings: errors within sigma, and no jump beyond it."""
+    nees, nis, worst, rejected = [], [], [], 0
+    for seed in range(SEED, SEED + RUNS):
+        m = mission(seed, 60.0 + outage, outages=((30.5, 30.5 + outage),))
+        result = fly(parameters(), m, m.v_d, seed=seed)
+        assert len(result.updates) == 60
+        rejected += sum(not u.report.accepted for u in result.updates)
+        assert not any(result.counts[name] for name in ("inflations", "restarts"))
+        back = int(np.searchsorted(m.stamps_ns, round((31.0 + outage) * 1e9)))
+        error = body_velocity_error(result, m)
+        s = result.states[back - 1]
+        J = body_velocity_jacobian(s["C_n_b"], s["v_n"], invariant=True, n=15)
+        P = J @ s["P"] @ J.T
+        nees.append(error[back - 1] @ np.linalg.solve(P, error[back - 1]))
+        worst.append(np.abs(in_sigmas(result, m)).max())
+        assert np.sqrt(np.trace(P)) > 0.5 * DVL_STD  # the filter knows that it has drifted
+        nis.append(result.updates[30].report.nis)
+        # The return is no farther than the filter was unsure, and ends where the DVL says.
+        jump = np.abs(error[back] - error[back - 1])
+        assert (jump < 5 * np.sqrt(np.diag(P) + DVL_STD**2)).all()
+        assert np.abs(error[back + 1000]).max() < 4 * DVL_STD
+    assert rejected <= 5  # of 1200 that are good, one is expected
+    for total in (sum(nees), sum(nis)):
+        assert chi2.ppf(0.0005, 3 * RUNS) < total < chi2.isf(0.0005, 3 * RUNS)
+    assert max(worst) < 5.5
+
+
+def test_a_covariance_without_an_inverse_can_be_used() -> None:
+    m = mission(duration=30.0)
+    v_d = m.v_d.copy()
+    v_d[:, 1] = np.einsum("kji,kj->ki", m.truth.C_n_b, m.truth.v_n)[99::100, 1]
+    v_d[12] += 10.0
+    result = fly(parameters(), m, v_d, R=np.diag([DVL_STD**2, 0.0, DVL_STD**2]))
+    assert [k for k, u in enumerate(result.updates) if not u.report.accepted] == [12]
+    assert np.isfinite(result.states["P"]).all()

@@ -1,0 +1,548 @@
+"""`insdvl replay`: a recording folds into the state of the direct run, and is measured rightly."""
+
+import json
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from recordings import REPLAY, record, save
+
+from insdvl import cli
+from insdvl.navigation.events import NS, Dvl, Event, Initial, ProcessNoise
+from insdvl.navigation.geometry.frames import ENU, rpy_from_rotation
+from insdvl.navigation.parameters import FilterParameters
+from insdvl.parameters.declaration import build
+from insdvl.recordings import bags
+from insdvl.recordings.bags import BagError, BagReader, BagWriter, Raw, decode, encode
+from insdvl.recordings.parameters import ReplayParameters
+from insdvl.simulation.mission import Mission, simulate
+from insdvl.simulation.noise import SCENARIOS, constant
+from insdvl.simulation.trajectories import BASELINE
+from insdvl.studies.evaluation.metrics import autocorrelation, normalised_innovations
+from insdvl.studies.replay import command as replay
+from insdvl.studies.replay.command import (
+    Injection,
+    fold_recording,
+    learn,
+    read,
+    report,
+    states_at,
+    write_bag,
+)
+from insdvl.timeline.fold import run
+from insdvl.tuner.parameters import TunerParameters
+from insdvl.tuner.tuner import Tuner
+
+DURATION = 20.0
+START_NS = 1_700_000_000_000_000_000
+TRAJECTORY = BASELINE["circle"]
+
+
+@pytest.fixture(scope="module")
+def mission() -> Mission:
+    return simulate(TRAJECTORY, SCENARIOS["varying"], seed=5, duration=DURATION, start_ns=START_NS)
+
+
+def filter_parameters(**values: Any) -> FilterParameters:
+    truth = TRAJECTORY.truth(np.zeros(1))
+    given = {
+        "initial.velocity_frame": "nav",
+        "initial.velocity": tuple((ENU.nav @ truth.v_n[0]).tolist()),
+        "initial.rpy": tuple(rpy_from_rotation(ENU.attitude(truth.C_n_b[0])).tolist()),
+        "initial.position": tuple((ENU.nav @ truth.p_n[0]).tolist()),
+        "origin.latitude_deg": float(np.degrees(TRAJECTORY.lat_0)),
+        "origin.height": float(TRAJECTORY.h_0),
+    }
+    names = {name.replace("__", "."): value for name, value in values.items()}
+    return build(FilterParameters, given | names)
+
+
+@pytest.fixture(scope="module")
+def bag(mission: Mission, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return save(tmp_path_factory.mktemp("bags") / "mission", record(mission))
+
+
+def dvl_events(mission: Mission) -> list[Event]:
+    return [Dvl(int(stamp), v) for stamp, v in zip(mission.dvl_stamps_ns, mission.v_d, strict=True)]
+
+
+def assert_same_states(states: NDArray[np.void], expected: NDArray[np.void]) -> None:
+    assert states.dtype == expected.dtype
+    for name in states.dtype.names or ():
+        np.testing.assert_array_equal(states[name], expected[name], err_msg=name)
+
+
+# ---------------------------------------------------------------- the state
+
+
+@pytest.mark.parametrize("error_state", ["invariant", "ned"])
+def test_a_recording_folds_into_the_state_of_the_direct_run(
+    bag: Path, mission: Mission, error_state: str
+) -> None:
+    parameters = filter_parameters(error_state=error_state)
+    replayed = fold_recording(read(bag, REPLAY), parameters)
+    direct = run(parameters, mission.stamps_ns, mission.f_b, mission.w_ib_b, dvl_events(mission))
+    assert_same_states(replayed.fold.states, direct.states)
+    assert len(replayed.fold.updates) == len(direct.updates) == int(DURATION)
+    assert not replayed.rejected
+
+
+def test_the_oracle_uses_the_true_process_noise(bag: Path, mission: Mission) -> None:
+    parameters = filter_parameters(process_noise__source="oracle")
+    replayed = fold_recording(read(bag, REPLAY), parameters)
+    true = [
+        ProcessNoise(int(stamp), np.diag(q[:3]), np.diag(q[3:]))
+        for stamp, q in zip(*mission.process_noise(), strict=True)
+    ]
+    events = dvl_events(mission) + true
+    direct = run(parameters, mission.stamps_ns, mission.f_b, mission.w_ib_b, events)
+    assert_same_states(replayed.fold.states, direct.states)
+    nominal = fold_recording(read(bag, REPLAY), filter_parameters())
+    assert (nominal.fold.states["P"][-1] != replayed.fold.states["P"][-1]).any()
+
+
+def test_without_recorded_process_noise_the_tuner_learns_it(bag: Path, mission: Mission) -> None:
+    recording = read(bag, REPLAY)
+    learned = learn(recording, TunerParameters())
+    tuner = Tuner(TunerParameters())
+    samples = zip(mission.stamps_ns, mission.f_b, mission.w_ib_b, strict=True)
+    expected = [
+        tuned
+        for stamp, f, w in samples
+        if (tuned := tuner.add(int(stamp), np.concatenate([ENU.body @ f, ENU.body @ w])))
+    ]
+    found = [decode(raw).message for raw in learned if raw.topic == "process_noise"]
+    assert len(found) == len(expected) > 15
+    for message, tuned in zip(found, expected, strict=True):
+        Q_f = np.reshape(message.linear_acceleration_covariance, (3, 3))
+        Q_w = np.reshape(message.angular_velocity_covariance, (3, 3))
+        np.testing.assert_array_equal(Q_f, np.diag(tuned.variances[:3]))
+        np.testing.assert_array_equal(Q_w, np.diag(tuned.variances[3:]))
+        assert message.header.stamp.sec * NS + message.header.stamp.nanosec == tuned.stamp_ns
+    assert [raw for raw in learned if raw.topic != "process_noise"] == recording
+
+    parameters = filter_parameters(process_noise__source="external")
+    told = [
+        ProcessNoise(tuned.stamp_ns, np.diag(tuned.variances[:3]), np.diag(tuned.variances[3:]))
+        for tuned in expected
+    ]
+    events = dvl_events(mission) + told
+    direct = run(parameters, mission.stamps_ns, mission.f_b, mission.w_ib_b, events)
+    assert_same_states(fold_recording(learned, parameters).fold.states, direct.states)
+
+
+def test_the_first_message_of_the_topic_initialises(bag: Path, mission: Mission) -> None:
+    """Of the one before the first sample and the one at its stamp, the latter."""
+    parameters = filter_parameters(initial__mode="topic")
+    replayed = fold_recording(read(bag, REPLAY), parameters)
+    C, v_n = mission.truth.C_n_b[0], mission.truth.v_n[0]
+    start_ns = int(mission.stamps_ns[0])
+    start = Initial(start_ns, C, mission.truth.p_n[0], C.T @ v_n, "body")
+    events = [*dvl_events(mission), start]
+    direct = run(parameters, mission.stamps_ns, mission.f_b, mission.w_ib_b, events)
+    # A quaternion is between the two, so they agree to rounding only.
+    for name in ("C_n_b", "v_n", "p_n", "P"):
+        np.testing.assert_allclose(
+            replayed.fold.states[name], direct.states[name], rtol=1e-9, atol=1e-9
+        )
+
+
+def test_a_recording_that_begins_again_is_folded_in_parts(
+    bag: Path, mission: Mission, tmp_path: Path
+) -> None:
+    """Each part is as the whole of a recording that is played once; nothing is lost."""
+    recording = read(bag, REPLAY)
+    parameters = filter_parameters()
+    once = fold_recording(recording, parameters)
+    twice = fold_recording([*recording, *recording], parameters)
+    assert_same_states(twice.fold.states, once.fold.states)
+    assert_same_states(twice.parts[0].states, once.fold.states)
+    assert len(twice.parts) == 2
+    numbers, single = report([*recording, *recording], twice), report(recording, once)
+    assert numbers["velocity_rmse"] == pytest.approx(single["velocity_rmse"], rel=1e-12)
+    assert numbers["dvl_accepted"] == 2 * single["dvl_accepted"]
+    assert numbers["imu_samples"] == 2 * single["imu_samples"]
+    assert numbers["counts"]["time_jumps"] == 1
+    assert sum(numbers["rejected"].values()) == numbers["counts"]["recovered"]
+    with BagWriter(tmp_path / "out") as out:
+        write_bag(out, recording, twice, parameters)
+    with BagReader(tmp_path / "out") as out:
+        stamps = [raw.time_ns for raw in out.raw({"/odometry/filtered"})]
+    assert sorted(stamps) == sorted(2 * mission.stamps_ns.tolist())
+
+
+def test_bad_messages_are_counted_and_change_nothing_else(
+    bag: Path, mission: Mission, tmp_path: Path
+) -> None:
+    raws = record(mission)
+    last_ns = int(mission.stamps_ns[-1])
+
+    def imu(stamp_ns: int, f: list[float]) -> Raw:
+        message = bags.imu_message(stamp_ns, "imu", np.array(f), np.zeros(3))
+        return encode("/imu", last_ns + 10, message)
+
+    def dvl(stamp_ns: int, v: list[float]) -> Raw:
+        return encode("/dvl", last_ns + 10, bags.twist_message(stamp_ns, "dvl", np.array(v)))
+
+    raws += [
+        imu(last_ns + 10, [0.0, np.nan, 0.0]),
+        imu(START_NS + NS, [0.0, 0.0, 9.8]),
+        dvl(last_ns, [np.inf, 0.0, 0.0]),
+        dvl(START_NS + NS, [0.0, 0.0, 0.0]),
+    ]
+    recording = read(save(tmp_path / "bad", raws), REPLAY)
+    replayed = fold_recording(recording, filter_parameters())
+    assert replayed.rejected == {
+        "imu/data_raw: not_finite": 1,
+        "imu/data_raw: too_late": 1,
+        "dvl/velocity: not_finite": 1,
+        "dvl/velocity: too_late": 1,
+    }
+    clean = fold_recording(read(bag, REPLAY), filter_parameters())
+    assert_same_states(replayed.fold.states, clean.fold.states)
+    numbers = report(recording, replayed)
+    assert numbers["dvl_rejected"] == 2
+    assert numbers["dvl_rejected_by_reason"] == {"not_finite": 1, "too_late": 1}
+
+
+# ---------------------------------------------------------------- the numbers
+
+
+def test_the_numbers_are_those_of_the_arrays(bag: Path, mission: Mission) -> None:
+    parameters = filter_parameters()
+    recording = read(bag, REPLAY)
+    replayed = fold_recording(recording, parameters)
+    numbers = report(recording, replayed)
+    states, truth = replayed.fold.states, mission.truth
+
+    def rms(error: NDArray[np.float64]) -> float:
+        return float(np.sqrt(np.mean(np.sum(error**2, axis=-1))))
+
+    assert numbers["reference_stamps"] == len(states) == len(mission.stamps_ns)
+    assert numbers["velocity_rmse"] == pytest.approx(rms(states["v_n"] - truth.v_n))
+    v_b = np.einsum("kji,kj->ki", states["C_n_b"], states["v_n"])
+    v_b_true = np.einsum("kji,kj->ki", truth.C_n_b, truth.v_n)
+    assert numbers["body_velocity_rmse"] == pytest.approx(rms(v_b - v_b_true))
+    horizontal = (states["p_n"] - truth.p_n)[:, :2]
+    assert numbers["position_rmse_horizontal"] == pytest.approx(rms(horizontal))
+    yaw = np.arctan2(states["C_n_b"][:, 1, 0], states["C_n_b"][:, 0, 0])
+    yaw -= np.arctan2(truth.C_n_b[:, 1, 0], truth.C_n_b[:, 0, 0])
+    yaw = np.degrees((yaw + np.pi) % (2 * np.pi) - np.pi)
+    assert numbers["heading_rmse_deg"] == pytest.approx(rms(yaw[:, None]), rel=0.02)
+    nis = [update.report.nis for update in replayed.fold.updates]
+    assert numbers["nis_mean"] == pytest.approx(np.mean(nis))
+    assert numbers["dvl_accepted"] == len(nis)
+    assert 0.9 < numbers["body_velocity_inside_3_sigma"] <= 1.0
+    assert len(numbers["innovation_autocorrelation"]) == 10
+
+
+def test_a_reference_between_stamps_of_the_imu_is_met_between_them() -> None:
+    mission = simulate(TRAJECTORY, constant(np.zeros(6)), seed=5, duration=10.0, start_ns=START_NS)
+    recording = [
+        raw._replace(topic="imu/data_raw") for raw in record(mission) if raw.topic == "/imu"
+    ]
+    replayed = fold_recording(recording, filter_parameters())
+    stamps_ns = mission.stamps_ns[:-1] + 3_000_000
+    between, sigma = states_at(replayed.fold, stamps_ns)
+    at, sigma_at = states_at(replayed.fold, mission.stamps_ns)
+    for name in ("v_b", "p_n"):
+        values = getattr(at, name)
+        mean = 0.7 * values[:-1] + 0.3 * values[1:]
+        np.testing.assert_allclose(getattr(between, name), mean, rtol=0, atol=1e-12)
+        assert np.abs(values[:-1] - mean).max() > 1e-6
+    np.testing.assert_allclose(sigma, 0.7 * sigma_at[:-1] + 0.3 * sigma_at[1:], atol=1e-12)
+    # A part of the turn: between the neighbours, and 0.3 of the angle between them away.
+    step = np.linalg.norm(at.C_n_b[1:] - at.C_n_b[:-1], axis=(1, 2))
+    part = np.linalg.norm(between.C_n_b - at.C_n_b[:-1], axis=(1, 2))
+    np.testing.assert_allclose(part, 0.3 * step, rtol=1e-4, atol=1e-12)
+    assert step.max() > 1e-5
+
+
+def test_a_recording_without_truth_has_no_errors_to_tell(bag: Path) -> None:
+    recording = read(bag, replace(REPLAY, ground_truth_topic=""))
+    numbers = report(recording, fold_recording(recording, filter_parameters()))
+    assert numbers["reference_stamps"] == 0
+    assert numbers["velocity_rmse"] is None
+    assert numbers["dvl_accepted"] == int(DURATION)
+
+
+def test_innovations_are_normalised_by_their_covariance() -> None:
+    rng = np.random.default_rng(1)
+    A = rng.standard_normal((3, 3))
+    S = A @ A.T + np.eye(3)
+    nu = rng.multivariate_normal(np.zeros(3), S, size=20_000)
+    z = normalised_innovations(nu, np.broadcast_to(S, (len(nu), 3, 3)))
+    np.testing.assert_allclose(z.T @ z / len(z), np.eye(3), atol=0.05)
+    np.testing.assert_allclose(
+        np.sum(z**2, axis=1), np.einsum("ki,ij,kj->k", nu, np.linalg.inv(S), nu)
+    )
+
+
+def test_autocorrelation_of_a_first_order_process() -> None:
+    rng = np.random.default_rng(2)
+    x = np.zeros((20_000, 3))
+    for k in range(1, len(x)):
+        x[k] = 0.8 * x[k - 1] + 0.6 * rng.standard_normal(3)
+    np.testing.assert_allclose(autocorrelation(x, 4), [0.8, 0.64, 0.512, 0.41], atol=0.02)
+    assert np.abs(autocorrelation(rng.standard_normal((20_000, 3)), 10)).max() < 0.02
+
+
+# ---------------------------------------------------------------- injected noise
+
+
+def imu_of(recording: list[Raw]) -> NDArray[np.float64]:
+    messages = [decode(raw).message for raw in recording if raw.topic == "imu/data_raw"]
+    return np.array([[*m.linear_acceleration, *m.angular_velocity] for m in messages])
+
+
+def test_injected_noise_has_the_variance_that_the_oracle_is_told(bag: Path) -> None:
+    recording = read(bag, REPLAY)
+    noisy = Injection((1e-3, 5e-2), (1e-6, 1e-4), seed=3)(recording)
+    added = imu_of(noisy) - imu_of(recording)
+    told: list[NDArray[np.float64]] = []
+    for raw in noisy:
+        message = decode(raw).message
+        if raw.topic == "ground_truth/process_noise":
+            Q_f = np.reshape(message.linear_acceleration_covariance, (3, 3))
+            Q_w = np.reshape(message.angular_velocity_covariance, (3, 3))
+            now = np.concatenate([np.diag(Q_f), np.diag(Q_w)])
+        elif raw.topic == "imu/data_raw":
+            told.append(now)
+    q = np.array(told)
+    assert (q[:, :3] >= 1e-3).all() and (q[:, :3] <= 5e-2).all()
+    assert (q[:, 3:] >= 1e-6).all() and (q[:, 3:] <= 1e-4).all()
+    assert len(np.unique(q[:, :3])) >= 3 and len(np.unique(q[:, 3:])) >= 3
+    z = added / np.sqrt(q)
+    np.testing.assert_allclose(z.std(axis=0), 1.0, atol=0.1)
+    np.testing.assert_allclose(z.mean(axis=0), 0.0, atol=0.1)
+    assert np.abs(np.corrcoef(z.T) - np.eye(6)).max() < 0.1
+    others = [raw for raw in recording if not raw.topic.endswith(("data_raw", "process_noise"))]
+    assert [raw for raw in noisy if not raw.topic.endswith(("data_raw", "process_noise"))] == others
+
+
+def test_the_seed_decides_the_injected_noise(bag: Path) -> None:
+    recording = read(bag, REPLAY)
+    injections = [Injection((1e-3, 5e-2), (1e-6, 1e-4), seed) for seed in (1, 1, 2)]
+    first, again, other = (injection(recording) for injection in injections)
+    assert first == again
+    assert (imu_of(first) != imu_of(other)).all()
+
+
+def test_recorded_process_noise_does_not_hold_for_an_injected_imu(bag: Path) -> None:
+    recording = read(
+        bag, replace(REPLAY, process_noise_topic="/true_q", true_process_noise_topic="")
+    )
+    assert "process_noise" in {raw.topic for raw in recording}
+    noisy = Injection((1e-3, 5e-2), (1e-6, 1e-4), seed=3)(recording)
+    assert "process_noise" not in {raw.topic for raw in noisy}
+
+
+# ---------------------------------------------------------------- the command
+
+CONFIG = """
+/**/insdvl_filter:
+  ros__parameters:
+    initial: {mode: topic}
+/**/insdvl_replay:
+  ros__parameters:
+    imu_topic: /imu
+    dvl_topic: /dvl
+    ground_truth_topic: /truth
+    true_process_noise_topic: /true_q
+"""
+
+
+def config(folder: Path, text: str = CONFIG) -> Path:
+    path = folder / "config.yaml"
+    path.write_text(text)
+    return path
+
+
+def test_the_command_writes_its_numbers(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["replay", str(bag), "--config", str(config(tmp_path))]
+    assert cli.main([*arguments, "--json", str(tmp_path / "a.json")]) == 0
+    printed = capsys.readouterr().out
+    numbers = json.loads((tmp_path / "a.json").read_text())
+    recording = read(bag, REPLAY)
+    parameters = build(FilterParameters, {"initial.mode": "topic"})
+    expected = report(recording, fold_recording(recording, parameters))
+    assert {name: numbers[name] for name in expected} == expected
+    assert f"{expected['velocity_rmse']:.4g} m/s" in printed
+    assert sorted(f.name for f in tmp_path.iterdir()) == ["a.json", "config.yaml"]
+
+
+def test_the_recorded_outputs_replay_to_the_same_numbers(bag: Path, tmp_path: Path) -> None:
+    noise = ["--inject-noise", "1e-3,5e-2,1e-6,1e-4", "--seed", "4"]
+    arguments = [
+        "replay", str(bag), "--config", str(config(tmp_path)), "--json", str(tmp_path / "a.json")
+    ]  # fmt: skip
+    assert cli.main([*arguments, *noise, "--out", str(tmp_path / "out")]) == 0
+    again = tmp_path / "again.yaml"
+    again.write_text("/insdvl_filter:\n  ros__parameters: {initial: {mode: topic}}\n")
+    arguments = [
+        "replay", str(tmp_path / "out"), "--config", str(again), "--json", str(tmp_path / "b.json")
+    ]  # fmt: skip
+    assert cli.main(arguments) == 0
+    a, b = (json.loads((tmp_path / name).read_text()) for name in ("a.json", "b.json"))
+    for name in ("velocity_rmse", "nis_mean", "dvl_accepted", "innovation_autocorrelation"):
+        assert a[name] == b[name]
+
+    recording = read(tmp_path / "out", ReplayParameters())
+    replayed = fold_recording(recording, build(FilterParameters, {"initial.mode": "topic"}))
+    with BagReader(tmp_path / "out") as out:
+        odometry = [m.message for m in out.messages(["/odometry/filtered"])]
+        assert out.topics["/dvl/innovation"].size == int(DURATION)
+        assert out.topics["/imu/bias"].size == int(DURATION) + 1
+    stamps_ns = replayed.fold.states["time_ns"][replayed.initialised]
+    track, sigma = states_at(replayed.fold, stamps_ns)
+    assert len(odometry) == len(stamps_ns)
+    for k in (0, 700, len(odometry) - 1):
+        linear, position = odometry[k].twist.twist.linear, odometry[k].pose.pose.position
+        assert (linear.x, linear.y, linear.z) == tuple(track.v_b[k])
+        assert (position.x, position.y, position.z) == tuple(track.p_n[k])
+        covariance = odometry[k].twist.covariance.reshape(6, 6)
+        np.testing.assert_array_equal(np.sqrt(np.diag(covariance)[:3]), sigma[k])
+
+
+Change = Callable[[list[str], Path], list[str]]
+
+
+def with_option(*option: str) -> Change:
+    return lambda arguments, folder: [*arguments, *option]
+
+
+def with_config(text: str) -> Change:
+    def change(arguments: list[str], folder: Path) -> list[str]:
+        config(folder, text)
+        return arguments
+
+    return change
+
+
+def with_bag(name: str) -> Change:
+    return lambda arguments, folder: [arguments[0], str(folder / name), *arguments[2:]]
+
+
+def source(name: str) -> str:
+    return CONFIG.replace(
+        "{mode: topic}", f"{{mode: topic}}\n    process_noise: {{source: {name}}}"
+    )
+
+
+BAD_INPUT = {
+    "no recording": (with_bag("absent"), "absent does not exist"),
+    "no rosbag2": (with_bag("."), "no metadata.yaml"),
+    "no configuration": (with_option("--config", "absent.yaml"), "absent.yaml"),
+    "no YAML": (with_config("{"), "config.yaml"),
+    "no section of the filter": (with_config("/**: {}"), "no section '/\\*\\*/insdvl_filter'"),
+    "an unknown parameter": (with_config(CONFIG + "    imu_topics: /imu"), "'imu_topics'"),
+    "a wrong type": (
+        with_config(CONFIG.replace("initial:", "max_delay: 2\n    initial:")),
+        "'max_delay' must be a float, got 2",
+    ),
+    "an absent topic": (
+        with_config(CONFIG.replace("/imu", "/other")),
+        "'/other' is not in .*; it has /dvl, /imu, /true_q, /truth",
+    ),
+    "an absent DVL": (with_config(CONFIG.replace("/dvl", "/other")), "'/other' is not in"),
+    "a topic of another type": (
+        with_config(CONFIG.replace("/dvl", "/truth2").replace("/truth\n", "/dvl\n")),
+        "/dvl .* has type geometry_msgs/msg/TwistStamped, expected nav_msgs/msg/Odometry",
+    ),
+    "a topic named twice": (
+        with_config(CONFIG + "    process_noise_topic: /imu"),
+        "process_noise_topic '/imu' is already played on imu/data_raw",
+    ),
+    "no message that initialises": (
+        with_config(CONFIG.replace("/truth", "/absent")),
+        "initial.mode is 'topic', but nothing .* on ground_truth/odometry",
+    ),
+    "an unknown model": (
+        with_config(source("external") + "/**/insdvl_tuner: {ros__parameters: {model: none}}"),
+        "none",
+    ),
+    "no process noise and no tuner": (
+        with_config(source("external") + "/**/insdvl_tuner: {ros__parameters: {enabled: false}}"),
+        "the tuner is not enabled",
+    ),
+    "a tuner that tells less often than the filter forgets": (
+        with_config(source("external") + "/**/insdvl_tuner: {ros__parameters: {rate: 0.1}}"),
+        "'rate' of insdvl_tuner must be at least 0.2 Hz, got 0.1: q_timeout of insdvl_filter is 5",
+    ),
+    "limits that are no numbers": (with_option("--inject-noise", "1,2,3,x"), "got '1,2,3,x'"),
+    "limits the wrong way round": (with_option("--inject-noise", "2,1,1,2"), "0 < LO <= HI"),
+    "a limit of zero": (with_option("--inject-noise", "0,1,1,2"), "0 < LO <= HI"),
+    "an infinite limit": (with_option("--inject-noise", "1,inf,1,2"), "0 < LO <= HI"),
+    "a negative seed": (
+        with_option("--inject-noise", "1,2,1,2", "--seed", "-1"),
+        "--seed must be >= 0, got -1",
+    ),
+    "nowhere to write": (with_option("--json", "absent/a.json"), "absent is no folder"),
+    "a folder in the way": (with_option("--json", "/"), "--json /: it is a folder"),
+    "an output that is there": (with_option("--out", "/"), "/ exists already"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_INPUT)
+def test_bad_input_ends_with_one_sentence_and_nothing_written(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], case: str
+) -> None:
+    change, expected = BAD_INPUT[case]
+    json_path = tmp_path / "a.json"
+    arguments = [
+        "replay", str(bag), "--config", str(config(tmp_path)), "--json", str(json_path)
+    ]  # fmt: skip
+    arguments = change(arguments, tmp_path)
+    before = sorted(tmp_path.iterdir())
+    assert cli.main(arguments) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith("insdvl replay: ")
+    assert said.err.count("\n") == 1
+    assert re.search(expected, said.err)
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_recording_that_is_too_long_is_refused_before_it_is_read(
+    bag: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    count = len([raw for raw in read(bag, REPLAY) if raw.topic == "imu/data_raw"])
+    monkeypatch.setattr(replay, "MAX_SAMPLES", count)
+    read(bag, REPLAY)
+    monkeypatch.setattr(replay, "MAX_SAMPLES", count - 1)
+    monkeypatch.setattr(BagReader, "raw", None)
+    with pytest.raises(BagError, match=rf"has {count} messages on /imu, and at most"):
+        read(bag, REPLAY)
+
+
+def test_a_damaged_recording_leaves_earlier_results_alone(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    damaged = tmp_path / "damaged.mcap"
+    whole = next(bag.glob("*.mcap")).read_bytes()
+    damaged.write_bytes(whole[: len(whole) // 2])
+    (tmp_path / "a.json").write_text("earlier")
+    arguments = ["--config", str(config(tmp_path)), "--json", str(tmp_path / "a.json")]
+    out = ["--out", str(tmp_path / "out")]
+    assert cli.main(["replay", str(damaged), *arguments, *out]) == 2
+    assert "damaged.mcap" in capsys.readouterr().err
+    assert (tmp_path / "a.json").read_text() == "earlier"
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_command_without_a_subcommand_names_them(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as exit_:
+        cli.main([])
+    assert exit_.value.code == 2
+    assert "train, replay" in capsys.readouterr().err
+    with pytest.raises(SystemExit) as exit_:
+        cli.main(["fly"])
+    assert exit_.value.code == 2
+    assert "fly" in capsys.readouterr().err

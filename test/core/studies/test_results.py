@@ -1,0 +1,92 @@
+"""`insdvl results`: the page says what its numbers say, and what it refuses."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from insdvl.cli import main
+from insdvl.jobs.parallel import Workers, pool
+from insdvl.studies.evaluation import page
+from insdvl.studies.evaluation.approaches import Setting
+from insdvl.studies.evaluation.comparison import Plan, compare
+from insdvl.studies.evaluation.results import PARTS, documents
+
+DOCS = Path(__file__).parents[3] / "docs"
+
+
+def results(folder: Path, *options: str) -> int:
+    return main(["results", "--out", str(folder), "--jobs", "1", *options])
+
+
+def test_the_page_in_docs_is_the_one_of_its_numbers() -> None:
+    found = documents(DOCS / "results")
+    assert set(found) == set(PARTS)
+    assert (DOCS / "results.md").read_text() == page.markdown(found)
+
+
+def test_pictures_of_the_page_are_there() -> None:
+    text = (DOCS / "results.md").read_text()
+    pictures = [part.partition(")")[0] for part in text.split("](")[1:] if ".png)" in part]
+    assert pictures and all((DOCS / picture).is_file() for picture in pictures)
+
+
+def test_a_page_without_numbers_says_so(tmp_path: Path) -> None:
+    assert results(tmp_path, "--parts", "none") == 0
+    text = (tmp_path / "results.md").read_text()
+    for part in PARTS:
+        assert f"Not computed: {part}." in text, part
+
+
+@pytest.fixture(scope="module")
+def document() -> dict:
+    rows = ("constant 0.01/0.001", "hcf default", "oracle")
+    plan = Plan("varying", Setting("calibrated"), runs=2, seed=4, rows=rows, duration=15.0)
+    with pool(Workers(jobs=1)) as workers:
+        return compare(plan, workers).document | {"environment": {}}
+
+
+def test_targets_are_judged_by_the_numbers(document: dict) -> None:
+    def judged(upper_end: float) -> str:
+        learned = page.row(document, "hcf default")
+        assert learned is not None
+        learned["ratio_to"]["oracle"]["body_rmse"] = [1.0, 0.9, upper_end]
+        text = page.markdown({"varying-calibrated": document})
+        (line,) = [
+            x for x in text.splitlines() if "`varying`: body velocity, learned / oracle" in x
+        ]
+        return line
+
+    assert judged(1.01).endswith("| 1.000 [0.900, 1.010] | yes |")
+    assert judged(1.011).endswith("| 1.000 [0.900, 1.011] | **no** |")
+
+
+def test_the_tables_have_the_numbers_of_the_document(document: dict, tmp_path: Path) -> None:
+    (tmp_path / "results").mkdir()
+    file = tmp_path / "results" / "varying-calibrated.json"
+    file.write_text(json.dumps(document))
+    assert results(tmp_path, "--parts", "none") == 0
+    text = (tmp_path / "results.md").read_text()
+    oracle = page.row(document, "oracle")
+    assert oracle is not None
+    assert f"| oracle | {oracle['body_rmse']:.4f} [" in text
+    assert "Not computed: varying-calibrated." not in text
+
+
+@pytest.mark.parametrize(
+    "options, sentence",
+    [
+        (("--parts", "q-accuracy,moon"), "--parts: unknown name 'moon'; known are q-accuracy, "),
+        (("--parts", "vehicle"), "--parts vehicle needs --recordings and --config"),
+        (("--runs", "1"), "--runs must be >= 2, got 1"),
+        (("--tuning-runs", "1"), "--tuning-runs must be >= 2, got 1"),
+        (("--seed", "-3"), "--seed must be >= 0, got -3"),
+    ],
+)
+def test_what_is_refused(
+    options: tuple[str, ...], sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    assert results(tmp_path / "out", *options) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"insdvl results: {sentence}") and error.count("\n") == 1
+    assert not (tmp_path / "out").exists()

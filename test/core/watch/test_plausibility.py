@@ -1,0 +1,275 @@
+"""Wrong axes are named while the vehicle moves, and right ones are never accused."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from recordings import record
+
+from insdvl.navigation.events import NS, Dvl, Event, Imu
+from insdvl.navigation.parameters import FilterParameters
+from insdvl.parameters.declaration import build
+from insdvl.simulation.dvl import DvlModel
+from insdvl.simulation.mission import ImuModel, Mission, simulate
+from insdvl.simulation.noise import SCENARIOS, constant
+from insdvl.simulation.trajectories import AUV, BASELINE, LOOP, STATIC
+from insdvl.studies.replay.command import fold_recording, report
+from insdvl.watch import alignment as plausibility
+from insdvl.watch.alignment import FrameCheck
+
+Array = NDArray[np.float64]
+
+#: Forward-left-up in forward-right-down, and the other way round.
+FLU = np.diag([1.0, -1.0, -1.0])
+SAME = np.eye(3)
+TOPICS = {
+    "/imu": "imu/data_raw",
+    "/dvl": "dvl/velocity",
+    "/truth": "ground_truth/odometry",
+    "/true_q": "ground_truth/process_noise",
+}
+GOOD_DVL = DvlModel(noise_std=np.full(3, 0.02))
+
+
+def reversed_axis(axis: str) -> Array:
+    return np.diag([-1.0 if name == axis else 1.0 for name in "xyz"])
+
+
+def events(mission: Mission, f: Array = SAME, w: Array = SAME, d: Array = SAME) -> list[Event]:
+    """The mission's events in the order of their stamps, with changed axes of the sensors."""
+    found: list[Event] = [
+        Imu(stamp, f_b, w_b)
+        for stamp, f_b, w_b in zip(
+            mission.stamps_ns.tolist(), mission.f_b @ f.T, mission.w_ib_b @ w.T, strict=True
+        )
+    ]
+    v_d = mission.v_d @ d.T
+    found += [Dvl(stamp, v) for stamp, v in zip(mission.dvl_stamps_ns.tolist(), v_d, strict=True)]
+    return sorted(found, key=lambda event: (event.stamp_ns, event.kind))
+
+
+def check(found: Iterable[Event], **parameters: Any) -> list[str]:
+    watch = FrameCheck(build(FilterParameters, parameters))
+    for event in found:
+        watch.add(event)
+    return watch.findings()
+
+
+@pytest.fixture(scope="module")
+def mission() -> Mission:
+    """Two minutes that turn and pitch."""
+    return simulate(AUV, SCENARIOS["constant-tableI"], seed=1, duration=125.0, dvl=GOOD_DVL)
+
+
+# ---------------------------------------------------------------- gravity
+
+
+def test_gravity_of_the_wrong_sign_is_told(mission: Mission) -> None:
+    (finding,) = check(events(mission, f=-np.eye(3)))
+    assert finding.startswith("gravity has the wrong sign along z")
+    assert "-9.6" in finding
+    assert "is +9.81 upright with frame_convention 'enu'" in finding
+
+
+@pytest.mark.parametrize(("convention", "other"), [("enu", "ned"), ("ned", "enu")])
+def test_a_stream_of_the_other_convention_is_told(
+    mission: Mission, convention: str, other: str
+) -> None:
+    """All sensors are of the other one: they agree, and gravity does not."""
+    swapped = events(mission, FLU, FLU, FLU)
+    (finding,) = check(swapped, frame_convention=convention)
+    assert f"frame_convention '{other}' would fit" in finding
+    assert ("-9.6" if convention == "enu" else "+9.6") in finding
+
+
+def test_a_mount_that_is_rolled_by_pi_is_told(mission: Mission) -> None:
+    for mount in [np.pi, 0.0, 0.0], [-np.pi, 0.0, 1.0]:
+        (finding,) = check(events(mission), **{"imu.mount": mount})
+        assert "gravity has the wrong sign along z" in finding
+        assert "imu.mount" in finding
+    # The IMU is mounted that way, and its mount is told.
+    assert not check(events(mission, FLU, FLU), **{"imu.mount": [np.pi, 0.0, 0.0]})
+
+
+@pytest.mark.parametrize(
+    ("mount", "axis"), [([np.pi / 2, 0.0, 0.0], "y"), ([0.0, np.pi / 2, 0.0], "x")]
+)
+def test_gravity_along_another_axis_is_told(
+    mission: Mission, mount: list[float], axis: str
+) -> None:
+    (finding,) = check(events(mission), **{"imu.mount": mount})
+    assert f"gravity is along {axis} of base_link" in finding
+
+
+@pytest.mark.parametrize("factor", [1 / 9.81, 0.0, 100.0])
+def test_a_specific_force_without_gravity_or_in_another_unit_is_told(
+    mission: Mission, factor: float
+) -> None:
+    (finding,) = check(events(mission, f=factor * np.eye(3)))
+    assert "gravity alone is 9.81: wrong unit, or gravity is left out" in finding
+
+
+def test_gravity_is_told_within_half_a_minute(mission: Mission) -> None:
+    early = [event for event in events(mission, FLU, FLU, FLU) if event.stamp_ns <= 25 * NS]
+    assert check(early)
+
+
+# ---------------------------------------------------------------- motion
+
+
+@pytest.mark.parametrize("axis", "xyz")
+def test_a_reversed_gyroscope_is_named(mission: Mission, axis: str) -> None:
+    (finding,) = check(events(mission, w=reversed_axis(axis)))
+    assert finding.startswith(f"gyroscope {axis} has the wrong sign")
+
+
+@pytest.mark.parametrize("axis", "xyz")
+def test_where_noise_hides_which_one_it_is_all_that_fit_are_named(axis: str) -> None:
+    mission = simulate(AUV, SCENARIOS["varying"], seed=2, duration=125.0)
+    (finding,) = check(events(mission, w=reversed_axis(axis)))
+    accused, _ = finding.split(" has the wrong sign")
+    assert f"gyroscope {axis}" in accused.split(" or ")
+    assert len(accused.split(" or ")) <= 2
+
+
+@pytest.mark.parametrize("axis", "xyz")
+def test_a_reversed_axis_of_the_dvl_is_named_when_it_measures_motion(axis: str) -> None:
+    """Mounted so that the axis looks along the vehicle's, and so has something to measure."""
+    mount = {"x": [0.0, 0.0, 0.0], "y": [0.0, 0.0, -np.pi / 2], "z": [0.0, np.pi / 2, 0.0]}[axis]
+    parameters = build(FilterParameters, {"dvl.mount": mount, "frame_convention": "ned"})
+    C_b_d = FrameCheck(parameters)._C_i_d
+    model = DvlModel(C_b_d=C_b_d, noise_std=np.full(3, 0.01))
+    trajectory = BASELINE["straight"]
+    mission = simulate(trajectory, SCENARIOS["constant-tableI"], seed=3, duration=125.0, dvl=model)
+    options = {"dvl.mount": mount, "frame_convention": "ned"}
+    assert not check(events(mission), **options)
+    (finding,) = check(events(mission, d=reversed_axis(axis)), **options)
+    assert finding.startswith(f"DVL {axis} has the wrong sign")
+
+
+def test_two_reversed_axes_are_named(mission: Mission) -> None:
+    """A gyroscope of the other convention than its accelerometer."""
+    (finding,) = check(events(mission, w=FLU))
+    assert finding.startswith("gyroscope y and z has the wrong sign")
+
+
+# ---------------------------------------------------------------- no false alarm
+
+
+@pytest.mark.parametrize(
+    ("trajectory", "scenario"),
+    [
+        *((AUV, scenario) for scenario in SCENARIOS),
+        *((trajectory, "wide") for trajectory in (*BASELINE.values(), LOOP, STATIC)),
+    ],
+)
+def test_a_right_mission_is_never_accused(trajectory: Any, scenario: str) -> None:
+    mission = simulate(trajectory, SCENARIOS[scenario], seed=4, duration=300.0)
+    watch = FrameCheck(FilterParameters())
+    for k, event in enumerate(events(mission)):
+        watch.add(event)
+        if k % 500 == 0:
+            assert watch.findings() == []
+    assert len(watch._sums) == 14
+
+
+def test_errors_of_the_sensors_are_no_wrong_axes() -> None:
+    """Large biases, DVL errors, outliers and outages, a long lever arm that is told."""
+    lever_arm = [1.5, 0.3, 0.5]
+    mission = simulate(
+        BASELINE["spiral_dive"],
+        SCENARIOS["varying"],
+        seed=5,
+        duration=300.0,
+        imu=ImuModel(accelerometer_bias_std=0.1, gyroscope_bias_std=2e-3),
+        dvl=DvlModel(
+            l_b_dvl=np.array(lever_arm) * [1.0, -1.0, -1.0],
+            noise_std=np.full(3, 0.02),
+            bias_std=0.1,
+            bias_time_constant=100.0,
+            outages=((60.0, 90.0),),
+            outlier_probability=0.05,
+        ),
+    )
+    watch = FrameCheck(build(FilterParameters, {"dvl.lever_arm": lever_arm}))
+    for event in events(mission):
+        watch.add(event)
+        assert not watch.findings()
+    assert 8 <= len(watch._sums) <= 12
+
+
+def test_sensors_without_any_noise_are_not_accused_of_rounding() -> None:
+    perfect = ImuModel(100.0, 0.0, 0.0, 0.0, 0.0)
+    for trajectory in (STATIC, AUV):
+        mission = simulate(
+            trajectory,
+            constant([0.0] * 6),
+            seed=8,
+            duration=125.0,
+            imu=perfect,
+            dvl=DvlModel(noise_std=np.zeros(3)),
+        )
+        assert not check(events(mission))
+
+
+def test_what_does_not_move_tells_nothing_of_a_reversed_axis() -> None:
+    mission = simulate(STATIC, SCENARIOS["varying"], seed=6, duration=200.0)
+    for axis in "xyz":
+        assert not check(events(mission, w=reversed_axis(axis)))
+
+
+# ---------------------------------------------------------------- streams as they come
+
+
+def test_the_order_of_arrival_does_not_matter_much(mission: Mission) -> None:
+    """A DVL that is a second late, and samples that are lost, say the same."""
+    wrong = events(mission, w=reversed_axis("z"))
+    late = sorted(wrong, key=lambda e: e.stamp_ns + (NS if isinstance(e, Dvl) else 0))
+    (in_turn,), (delayed,) = check(wrong), check(late)
+    assert in_turn == delayed
+    rng = np.random.default_rng(0)
+    (holes,) = check([event for event in wrong if rng.random() > 0.05])
+    assert holes.startswith("gyroscope z has the wrong sign")
+
+
+def test_a_gap_begins_a_new_window(mission: Mission) -> None:
+    watch = FrameCheck(FilterParameters())
+    for event in events(mission):
+        if isinstance(event, Imu) and event.stamp_ns % (15 * NS) < 2 * NS:
+            continue
+        watch.add(event)
+    assert len(watch._sums) == 0  # none is as long as 20 s
+    assert not watch.findings()
+
+
+def test_memory_is_bounded() -> None:
+    """Of DVL measurements that wait for ever, come too often, and of samples without any."""
+    watch = FrameCheck(FilterParameters())
+    f, v = np.array([0.0, 0.0, -9.8]), np.array([1.0, 0.0, 0.0])
+    for k in range(2000):
+        watch.add(Dvl(k, v))
+    assert len(watch._waiting) <= plausibility._WAITING
+    for k in range(12_000):
+        watch.add(Imu(k * 10_000_000, f, np.zeros(3)))
+        if k > 5000:
+            watch.add(Dvl(k * 10_000_000, v))
+            watch.add(Dvl(k * 10_000_000 - 1, v))
+        assert len(watch._fixes) <= 102
+        assert len(watch._waiting) <= plausibility._WAITING
+        assert watch._size <= plausibility._SAMPLES
+    assert 3 <= len(watch._sums) <= plausibility.WINDOWS
+
+
+# ---------------------------------------------------------------- replay
+
+
+def test_a_replay_tells_what_it_found() -> None:
+    mission = simulate(AUV, SCENARIOS["constant-tableI"], seed=7, duration=25.0)
+    recording = [raw._replace(topic=TOPICS[raw.topic]) for raw in record(mission)]
+    for convention, found in ("enu", 0), ("ned", 1):
+        parameters = build(FilterParameters, {"frame_convention": convention})
+        replayed = fold_recording(recording, parameters)
+        assert len(replayed.findings) == found
+        assert report(recording, replayed)["frames"] == replayed.findings

@@ -1,0 +1,33 @@
+"""The reset Jacobian that the filter does not apply (docs/error-state.md, section 9)."""
+
+import numpy as np
+import pytest
+
+import insdvl.navigation.filter
+from insdvl.navigation.error_state import ATTITUDE, VELOCITY, cross_matrix
+
+
+def reset_jacobian(dx: np.ndarray, *, invariant: bool) -> np.ndarray:
+    """Partial of the error after the injection of dx (n,), with respect to the error before.
+
+    exp(psi+) = exp(psi) exp(-dpsi) gives I + [dpsi x] / 2 for the attitude, and
+    v_true - exp(psi+) v = dv - exp(psi+) ddv gives [ddv x] for the velocity of `invariant`.
+    """
+    G = np.eye(len(dx))
+    G[ATTITUDE, ATTITUDE] += cross_matrix(dx[ATTITUDE]) / 2
+    if invariant:
+        G[VELOCITY, ATTITUDE] = cross_matrix(dx[VELOCITY])
+    return G
+
+
+def apply_it_after_every_update(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From here on every filter of this test applies the reset Jacobian."""
+    correct = insdvl.navigation.filter._correct
+
+    def with_reset(state, workspace, constants, R):  # type: ignore[no-untyped-def]
+        dx = workspace[0]["K"] @ workspace[0]["innovation"]
+        correct(state, workspace, constants, R)
+        G = reset_jacobian(dx, invariant=bool(constants[0]["invariant"]))
+        state[0]["P"] = G @ state[0]["P"] @ G.T
+
+    monkeypatch.setattr(insdvl.navigation.filter, "_correct", with_reset)
