@@ -19,7 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
-from insdvl.navigation.events import NS, Dvl, Event, Imu, Initial, Origin, ProcessNoise
+from insdvl.navigation.events import NS, Event, Imu, Initial, Origin, ProcessNoise
+from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.odometry import odometry
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build
@@ -27,7 +28,9 @@ from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import SCENARIOS, constant
 from insdvl.simulation.trajectories import trajectory_named
-from insdvl.timeline.fold import Fold, FoldResult, run
+from insdvl.timeline.fold import Fold
+from insdvl.timeline.output import FoldResult
+from insdvl.timeline.recorded import fold_arrays
 
 SEED = 20_261
 DURATION = 120.0  # s
@@ -60,7 +63,7 @@ def fly(
         events = list(change(mission, z) or events) if change is not None else events
     kept = np.isfinite(z).all(axis=1)
     values = {"frame_convention": "ned", "initial.mode": "set_odometry", **settings}
-    return run(
+    return fold_arrays(
         build(FilterParameters, values),
         mission.stamps_ns[kept],
         np.ascontiguousarray(z[kept, :3]),
@@ -222,12 +225,14 @@ def digest(result: FoldResult) -> str:
         sha.update(np.ascontiguousarray(value).tobytes())
 
     s = result.states
-    for name in (*NAV, *NOISE):
-        put(name, s[name])
+    for name in NAV:
+        put(name, s["nav"][name])
+    for name in NOISE:
+        put(name, s["noise"][name])
     n = result.filter.n
     if n > 15:
-        put("b_d", s["b_d"])
-    put("P", s["P"][:, :n, :n])
+        put("b_d", s["nav"]["optional"][:, :3])
+    put("P", s["nav"]["P"][:, :n, :n])
     for name, count in sorted(result.counts.items()):
         put(name, count)
     for update in result.updates:
@@ -238,7 +243,7 @@ def digest(result: FoldResult) -> str:
         put("nis", report.nis)
         put(report.reason, report.accepted)
     for k in range(0, len(s), 500):
-        if s[k]["initialised"]:
+        if s[k]["nav"]["initialised"]:
             output = odometry(result.filter, s, k)
             put("pose_covariance", output.pose_covariance)
             put("twist_covariance", output.twist_covariance)

@@ -19,13 +19,16 @@ from std_srvs.srv import Trigger
 
 from insdvl.messages import inputs
 from insdvl.messages.inputs import Q_TOPICS, Inputs
-from insdvl.navigation.events import NS, Dvl, Event, ProcessNoise
+from insdvl.navigation.events import NS, Event, ProcessNoise
 from insdvl.navigation.events import Imu as ImuSample
 from insdvl.navigation.geometry.frames import CONVENTIONS
+from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.odometry import Odometry as FilterOdometry
 from insdvl.navigation.odometry import biases
 from insdvl.navigation.parameters import FilterParameters
-from insdvl.timeline.fold import AppliedUpdate, Fold, TimeJump
+from insdvl.timeline.fold import Fold
+from insdvl.timeline.jumps import TimeJump
+from insdvl.timeline.output import AppliedUpdate
 from insdvl.timeline.state_file import StateFile
 from insdvl.watch.alignment import FrameCheck
 from ros_insdvl.conversions import fill_bias, fill_innovation, fill_odometry
@@ -118,7 +121,7 @@ class FilterNode(InsdvlNode[FilterParameters]):
             log.info(f"{state_file.path} does not exist yet; {self._starts_anew}")
         else:
             self._fold.resume(record)
-            stamp = record[0]["imu_ns"] / NS
+            stamp = record[0]["channels"]["imu_ns"] / NS
             log.info(f"goes on from the state at stamp {stamp:.3f} s in {state_file.path}")
         return state_file
 

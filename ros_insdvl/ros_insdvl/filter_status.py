@@ -10,7 +10,9 @@ from insdvl.navigation.events import NS, Event, Imu
 from insdvl.navigation.odometry import Odometry
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.state import NEVER
-from insdvl.timeline.fold import AppliedUpdate, Fold, TimeJump
+from insdvl.timeline.fold import Fold
+from insdvl.timeline.jumps import TimeJump
+from insdvl.timeline.output import AppliedUpdate
 from insdvl.timeline.state_file import StateFile
 from insdvl.watch.alignment import FrameCheck
 from insdvl.watch.sample_count import ExpectedSamples
@@ -298,9 +300,9 @@ class FilterWatch:
         state = self._fold.latest
         if state is None or self._started_ns is None:
             return
-        accepted_ns = int(state["accepted_ns"])
+        accepted_ns = int(state["gate"]["dvl"]["accepted_ns"])
         since_ns = self._started_ns if accepted_ns == NEVER else accepted_ns
-        outage_ns = int(state["time_ns"]) - since_ns
+        outage_ns = int(state["nav"]["time_ns"]) - since_ns
         if outage_ns <= DVL_OUTAGE_NS:
             return
         received = sum(view.recent[f"received {topic}"] for topic in DVL)
@@ -322,12 +324,12 @@ class FilterWatch:
         topic = Q_TOPICS.get(noise.source)
         state = self._fold.latest
         if state is not None:
-            sigma_f, sigma_w = (np.sqrt(np.diag(state[name])) for name in ("Q_f", "Q_w"))
+            sigma_f, sigma_w = (np.sqrt(np.diag(state["noise"][name])) for name in ("Q_f", "Q_w"))
             for axis, f, w in zip("xyz", sigma_f, sigma_w, strict=True):
                 status.values[f"Q sigma f_{axis} [m/s^2]"] = f"{f:.6g}"
                 status.values[f"Q sigma w_{axis} [rad/s]"] = f"{w:.6g}"
             told = topic is not None or noise.source == "message"
-            if told and int(state["q_ns"]) == NEVER:
+            if told and int(state["noise"]["q_ns"]) == NEVER:
                 status.values["Q age [s]"] = "nominal"
                 remedy = f"look at who publishes {topic or IMU}" + (
                     ", the tuner" if noise.source == "external" else ""
@@ -339,7 +341,7 @@ class FilterWatch:
                     f"Q is nominal: {remedy}",
                 )
             elif told:
-                age = (int(state["time_ns"]) - int(state["q_ns"])) / NS
+                age = (int(state["nav"]["time_ns"]) - int(state["noise"]["q_ns"])) / NS
                 status.values["Q age [s]"] = f"{age:.3f}"
                 status.summary = f"{noise.source}, {age:.1f} s old"
         if topic is not None:

@@ -10,10 +10,13 @@ import numpy as np
 import pytest
 
 from insdvl.messages.inputs import Inputs
-from insdvl.navigation.events import NS, Dvl, Imu, ProcessNoise
+from insdvl.navigation.events import NS, Imu, ProcessNoise
+from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build
-from insdvl.timeline.fold import AppliedUpdate, Fold, TimeJump
+from insdvl.timeline.fold import Fold
+from insdvl.timeline.jumps import TimeJump
+from insdvl.timeline.output import AppliedUpdate
 from insdvl.watch.sample_count import ExpectedSamples
 from ros_insdvl.diagnostics import (
     ERROR,
@@ -197,7 +200,7 @@ def test_a_dvl_outage_is_told_with_its_length_and_sigma_and_ends() -> None:
     message = statuses["dvl"].message
     assert "no DVL measurement used for 7 s: none is received" in message
     sigma = float(message.rsplit("sigma is ")[1].split()[0])
-    assert sigma == pytest.approx(np.sqrt(f.fold.latest["P"][0, 0]), rel=0.1)  # type: ignore[index]
+    assert sigma == pytest.approx(np.sqrt(f.fold.latest["nav"]["P"][0, 0]), rel=0.1)  # type: ignore[index]
     f.dvl(at(122), 500.0)  # not used: the outage goes on
     f.samples(123, 124, NS // 10)
     assert wrong(f.look()) == {"dvl": WARN}

@@ -31,7 +31,7 @@ from insdvl.parameters.declaration import build
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import SCENARIOS
 from insdvl.simulation.trajectories import trajectory_named
-from insdvl.timeline.fold import run
+from insdvl.timeline.recorded import fold_arrays
 from ros_insdvl.conversions import flat_covariance, set_quaternion, set_vector, time_of
 from ros_insdvl.filter import FilterNode
 
@@ -126,7 +126,7 @@ def offline(parameters: dict[str, Any], sent: list[tuple[str, Any]]) -> list[Any
     )
     convert = {"dvl/velocity": messages.dvl, "process_noise": messages.process_noise}
     events = [convert[topic](m, ENU) for topic, m in sent if topic in convert]
-    result = run(
+    result = fold_arrays(
         build(FilterParameters, parameters),
         np.array([s.stamp_ns for s in samples]),
         np.array([s.f_b for s in samples]),
@@ -512,7 +512,8 @@ def test_statuses_are_named_by_node_and_cause(graph: Any) -> None:
 COMPILED = """
 import sys
 import numpy as np
-from insdvl.navigation.events import NS, Dvl, Imu, Initial, ProcessNoise
+from insdvl.navigation.events import NS, Imu, Initial, ProcessNoise
+from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.timeline.fold import Fold
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build
@@ -597,7 +598,7 @@ def test_origin_from_a_fix(graph: Any) -> None:
     fix.header.stamp = time_of(START_NS + 3 * STEP_NS)
     g.send(("gps/fix", fix), *imu_run(4, 8))
     assert g.odometry() != []
-    assert g.filter._fold.latest["lat_0"] == pytest.approx(np.radians(60.0))
+    assert g.filter._fold.latest["nav"]["lat_0"] == pytest.approx(np.radians(60.0))
 
 
 def test_reset_starts_again(graph: Any) -> None:

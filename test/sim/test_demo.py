@@ -25,7 +25,7 @@ from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.sections import load_section
 from insdvl.recordings.bags import BagReader
 from insdvl.studies.evaluation.metrics import Scores
-from insdvl.timeline.fold import run
+from insdvl.timeline.recorded import fold_arrays
 from ros_insdvl_sim import demo
 
 DEADLINE = 300.0  # s; far beyond what any of these waits takes
@@ -128,7 +128,7 @@ def test_recording_replays_to_the_same_states(flown: tuple[Path, str], name: str
     published = [r.message for r in recorded if r.topic == topic]
     events = [convert[r.topic](r.message, ENU) for r in recorded if r.topic in convert]
     samples = [event for event in events if isinstance(event, Sample)]
-    result = run(
+    result = fold_arrays(
         load_section(out / f"{name}.yaml", "insdvl_filter", FilterParameters),
         np.array([sample.stamp_ns for sample in samples]),
         np.array([sample.f_b for sample in samples]),

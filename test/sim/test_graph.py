@@ -103,9 +103,9 @@ def test_noise_is_learned_once_a_second_and_used(graph: Graph) -> None:
     state = graph.filter._fold.latest
     learned = graph.received["process_noise"][-1]
     np.testing.assert_allclose(
-        np.diag(state["Q_f"]), learned.linear_acceleration_covariance[::4], rtol=1e-12
+        np.diag(state["noise"]["Q_f"]), learned.linear_acceleration_covariance[::4], rtol=1e-12
     )
-    assert state["q_ns"] == DURATION * NS
+    assert state["noise"]["q_ns"] == DURATION * NS
     assert learned.orientation_covariance[0] == -1.0
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-import insdvl.navigation.filter
+from insdvl.navigation import kalman
 from insdvl.navigation.error_state import ATTITUDE, VELOCITY, cross_matrix
 
 
@@ -22,12 +22,13 @@ def reset_jacobian(dx: np.ndarray, *, invariant: bool) -> np.ndarray:
 
 def apply_it_after_every_update(monkeypatch: pytest.MonkeyPatch) -> None:
     """From here on every filter of this test applies the reset Jacobian."""
-    correct = insdvl.navigation.filter._correct
+    correct = kalman._correct
 
-    def with_reset(state, workspace, constants, R):  # type: ignore[no-untyped-def]
-        dx = workspace[0]["K"] @ workspace[0]["innovation"]
-        correct(state, workspace, constants, R)
-        G = reset_jacobian(dx, invariant=bool(constants[0]["invariant"]))
-        state[0]["P"] = G @ state[0]["P"] @ G.T
+    def with_reset(state, constants, H, K, R, innovation):  # type: ignore[no-untyped-def]
+        correct(state, constants, H, K, R, innovation)
+        n = len(K)
+        G = reset_jacobian(K @ innovation, invariant=bool(constants[0]["invariant"]))
+        P = state[0]["nav"]["P"]
+        P[:n, :n] = G @ P[:n, :n] @ G.T
 
-    monkeypatch.setattr(insdvl.navigation.filter, "_correct", with_reset)
+    monkeypatch.setattr(kalman, "_correct", with_reset)

@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl.navigation.events import MAX_VARIANCE, NS, Dvl, Imu, Initial, Origin, ProcessNoise
+from insdvl.navigation.events import MAX_VARIANCE, NS, Imu, Initial, Origin, ProcessNoise
 from insdvl.navigation.geometry.frames import Convention, rotation_from_quaternion
+from insdvl.navigation.measurements.dvl import Dvl
 
 Array = NDArray[np.float64]
 

@@ -1,18 +1,19 @@
 """What happens to the filter: IMU samples, measurements, process noise, initialisation.
 
-All in NED and forward-right-down (see frames.py), stamps in integer nanoseconds. Events are ordered
-by (stamp, kind, payload bytes), which does not depend on when they arrived.
+All in NED and forward-right-down (see geometry/frames.py), stamps in integer nanoseconds. Events
+are ordered by (stamp, kind, payload bytes), which does not depend on when they arrived.
+Measurements are in files of their own, under measurements/.
 """
 
-from collections.abc import Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from dataclasses import dataclass
-from enum import IntEnum
 from math import isfinite, pi
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from insdvl.arrays import Array
 
 NS = 1_000_000_000  # nanoseconds in a second
 
@@ -24,19 +25,38 @@ MAX_DISTANCE = 1e7  # m
 MAX_VARIANCE = 1e12  # of anything, SI
 MIN_HEIGHT, MAX_HEIGHT = -12_000.0, 100_000.0  # m
 
-
-class Kind(IntEnum):
-    """Order of events with the same stamp: the state first reaches it, then is corrected."""
-
-    IMU = 0
-    ORIGIN = 1
-    INITIAL = 2
-    PROCESS_NOISE = 3
-    DVL = 4
+#: Numbers of an event, and the largest size that each may have.
+Limits = Iterable[tuple[Array | None, float]]
 
 
 @dataclass(frozen=True, slots=True)
-class Imu:
+class Event(ABC):
+    """Something that happens to the filter at a stamp.
+
+    Attributes:
+        stamp_ns: When.
+        kind: Order of events with the same stamp: the state first reaches it with the IMU's sample,
+            then is told of an origin, an initial state and a process noise, then is corrected.
+        follows_samples: Whether it is made from the newest samples, some of which may still be on
+            their way; it may then be ahead of them.
+    """
+
+    stamp_ns: int
+
+    kind: ClassVar[int]
+    follows_samples: ClassVar[bool] = False
+
+    @abstractmethod
+    def payload(self) -> bytes:
+        """What tells two events of one stamp and kind apart."""
+
+    @abstractmethod
+    def limits(self) -> Limits:
+        """Its numbers, and the largest size that each may have."""
+
+
+@dataclass(frozen=True, slots=True)
+class Imu(Event):
     """One sample: the mean over the interval that ends at its stamp, in IMU axes.
 
     Attributes:
@@ -45,19 +65,22 @@ class Imu:
         w_ib_b: (3,) angular rate [rad/s].
     """
 
-    stamp_ns: int
     f_b: Array
     w_ib_b: Array
 
-    kind = Kind.IMU
+    kind = 0
 
     def payload(self) -> bytes:
-        """What tells two events of one stamp apart."""
+        """Both triads."""
         return self.f_b.tobytes() + self.w_ib_b.tobytes()
+
+    def limits(self) -> Limits:
+        """What no sensor measures."""
+        return (self.f_b, MAX_ACCELERATION), (self.w_ib_b, MAX_RATE)
 
 
 @dataclass(frozen=True, slots=True)
-class Origin:
+class Origin(Event):
     """Where on the Earth odom's origin is; the first one counts.
 
     Attributes:
@@ -66,20 +89,28 @@ class Origin:
         h: Height above the ellipsoid [m].
     """
 
-    stamp_ns: int
     lat: float
     lon: float
     h: float
 
-    kind = Kind.ORIGIN
+    kind = 1
 
     def payload(self) -> bytes:
-        """What tells two events of one stamp apart."""
+        """All three numbers."""
         return np.array([self.lat, self.lon, self.h]).tobytes()
+
+    def limits(self) -> Limits:
+        """Where no vehicle is."""
+        middle = (MIN_HEIGHT + MAX_HEIGHT) / 2
+        return (
+            (np.array([self.lat]), pi / 2),
+            (np.array([self.lon]), 2 * pi),
+            (np.array([self.h - middle]), MAX_HEIGHT - middle),
+        )
 
 
 @dataclass(frozen=True, slots=True)
-class Initial:
+class Initial(Event):
     """The state of base_link at a stamp. A covariance that is None takes the parameters' sigmas.
 
     Attributes:
@@ -93,7 +124,6 @@ class Initial:
         once: Applies only while the filter is not yet initialised.
     """
 
-    stamp_ns: int
     C_n_b: Array
     p_n: Array
     v: Array
@@ -103,10 +133,10 @@ class Initial:
     P_p: Array | None = None
     once: bool = False
 
-    kind = Kind.INITIAL
+    kind = 2
 
     def payload(self) -> bytes:
-        """What tells two events of one stamp apart."""
+        """All numbers, and how they are to be taken."""
         covariances = (self.P_v, self.P_psi, self.P_p)
         return b"".join(
             [
@@ -117,9 +147,20 @@ class Initial:
             ]
         )
 
+    def limits(self) -> Limits:
+        """What no vehicle does."""
+        return (
+            (self.C_n_b, 1.0 + 1e-9),
+            (self.p_n, MAX_DISTANCE),
+            (self.v, MAX_SPEED),
+            (self.P_v, MAX_VARIANCE),
+            (self.P_psi, MAX_VARIANCE),
+            (self.P_p, MAX_VARIANCE),
+        )
+
 
 @dataclass(frozen=True, slots=True)
-class ProcessNoise:
+class ProcessNoise(Event):
     """Variance per sample of the IMU's noise, in IMU axes, from the stamp on; None is unknown.
 
     Attributes:
@@ -127,67 +168,40 @@ class ProcessNoise:
         Q_w: (3, 3) of the angular rate [(rad/s)^2].
     """
 
-    stamp_ns: int
     Q_f: Array | None
     Q_w: Array | None
 
-    kind = Kind.PROCESS_NOISE
+    kind = 3
+    follows_samples = True
 
     def payload(self) -> bytes:
-        """What tells two events of one stamp apart."""
+        """Both covariances."""
         return b"".join(b"-" if Q is None else Q.tobytes() for Q in (self.Q_f, self.Q_w))
+
+    def limits(self) -> Limits:
+        """What no noise is."""
+        return (self.Q_f, MAX_VARIANCE), (self.Q_w, MAX_VARIANCE)
 
 
 @dataclass(frozen=True, slots=True)
-class Dvl:
-    """Velocity over ground at the DVL, in DVL axes.
+class Measurement(Event):
+    """What a sensor says of the state at a stamp; each kind is a class of its own.
 
     Attributes:
-        v_d: (3,) velocity [m/s].
-        R: (3, 3) covariance [(m/s)^2]; None takes the parameter ``dvl.noise_std``.
+        name: Of the kind; that of its gate, its parameters and its topics.
+        kind: At least `FIRST`, in the order in which measurements of one stamp correct the state.
     """
 
-    stamp_ns: int
-    v_d: Array
-    R: Array | None = None
+    FIRST: ClassVar[int] = 16
 
-    kind = Kind.DVL
-
-    def payload(self) -> bytes:
-        """What tells two events of one stamp apart."""
-        return self.v_d.tobytes() + (b"" if self.R is None else self.R.tobytes())
-
-
-Event = Imu | Origin | Initial | ProcessNoise | Dvl
+    name: ClassVar[str]
+    follows_samples = True
 
 
 def refusal(event: Event) -> str | None:
     """Why the numbers of an event cannot be used: ``not_finite``, ``out_of_range``; else None."""
-    parts: Sequence[tuple[Array | None, float]]
-    if isinstance(event, Imu):
-        parts = ((event.f_b, MAX_ACCELERATION), (event.w_ib_b, MAX_RATE))
-    elif isinstance(event, Dvl):
-        parts = ((event.v_d, MAX_SPEED), (event.R, MAX_VARIANCE))
-    elif isinstance(event, ProcessNoise):
-        parts = ((event.Q_f, MAX_VARIANCE), (event.Q_w, MAX_VARIANCE))
-    elif isinstance(event, Initial):
-        parts = (
-            (event.C_n_b, 1.0 + 1e-9),
-            (event.p_n, MAX_DISTANCE),
-            (event.v, MAX_SPEED),
-            (event.P_v, MAX_VARIANCE),
-            (event.P_psi, MAX_VARIANCE),
-            (event.P_p, MAX_VARIANCE),
-        )
-    else:
-        middle = (MIN_HEIGHT + MAX_HEIGHT) / 2
-        parts = (
-            (np.array([event.lat]), pi / 2),
-            (np.array([event.lon]), 2 * pi),
-            (np.array([event.h - middle]), MAX_HEIGHT - middle),
-        )
     # On so few numbers this is several times as fast as numpy's own comparison.
-    numbers = [(x, limit) for part, limit in parts if part is not None for x in part.flat]
+    numbers = [(x, limit) for part, limit in event.limits() if part is not None for x in part.flat]
     if all(-limit <= x <= limit for x, limit in numbers):
         return None
     return "out_of_range" if all(isfinite(x) for x, _ in numbers) else "not_finite"

@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from insdvl.arrays import Array, Records
 from insdvl.kernels import kernel
 from insdvl.navigation import error_state
+from insdvl.navigation.channels import unseen_sigma
 from insdvl.navigation.error_state import (
     ACCELEROMETER_BIAS,
     ATTITUDE,
@@ -14,8 +15,7 @@ from insdvl.navigation.error_state import (
     POSITION,
     VELOCITY,
 )
-from insdvl.navigation.filter import Filter, unseen_sigma
-from insdvl.navigation.geometry.frames import CONVENTIONS
+from insdvl.navigation.filter import LAYOUT, Filter
 from insdvl.navigation.geometry.rotation import (
     cross,
     product,
@@ -26,9 +26,6 @@ from insdvl.navigation.geometry.rotation import (
     skew,
 )
 from insdvl.navigation.state import NEVER, State
-
-Array = NDArray[np.float64]
-Records = NDArray[np.void]
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +85,7 @@ _OUTPUT = np.dtype(
         ("twist_linear", "f8", (3,)),
         ("twist_angular", "f8", (3,)),
         ("twist_covariance", "f8", (6, 6)),
-        ("J", "f8", (6, 18)),
+        ("J", "f8", (6, LAYOUT.size)),
         ("C", "f8", (1, 3, 3)),
         ("M1", "f8", (3, 3)),
         ("M2", "f8", (3, 3)),
@@ -99,13 +96,13 @@ _OUTPUT = np.dtype(
 )
 
 
-def odometry(filter_: Filter, states: NDArray[np.void], k: int) -> Odometry:
+def odometry(filter_: Filter, states: Records, k: int) -> Odometry:
     """Odometry of the state record ``states[k]``."""
     out = np.zeros(1, _OUTPUT)
     _odometry(states, k, filter_.constants, out)
     o = out[0]
     return Odometry(
-        stamp_ns=int(states[k]["time_ns"]),
+        stamp_ns=int(states[k]["nav"]["time_ns"]),
         position=o["position"],
         quaternion_xyzw=o["quaternion_xyzw"][0],
         pose_covariance=o["pose_covariance"],
@@ -125,12 +122,12 @@ def _odometry(states: Records, k: int, constants: Records, out: Records) -> None
     saturated or frozen channels do not see.
     """
     s, c, o = states[k], constants[0], out[0]
-    C, J, M, N, x, y = s.C_n_b, o.J, o.M1, o.M2, o.x1, o.x2
-    n = s.P.shape[0]
+    C, J, M, N, x, y = s.nav.C_n_b, o.J, o.M1, o.M2, o.x1, o.x2
+    n = c.n
 
     rotate(x, C, c.l_b_imu)
     for i in range(3):
-        y[i] = s.p_n[i] - x[i]
+        y[i] = s.nav.p_n[i] - x[i]
     rotate(o.position, c.nav, y)
     product(N, c.nav, C)
     product(o.C[0], N, c.body)
@@ -140,33 +137,33 @@ def _odometry(states: Records, k: int, constants: Records, out: Records) -> None
     error_state.set_block(J, 0, _ATTITUDE, 1.0, N)
     error_state.set_block(J, 0, _POSITION, 1.0, c.nav)
     error_state.set_block(J, 3, _ATTITUDE, 1.0, c.nav)
-    _congruence(o.pose_covariance, J, s.P, n)
+    _congruence(o.pose_covariance, J, s.nav.P, n)
 
-    rotate_back(x, C, s.v_n)
-    cross(y, s.w_nb_b, c.l_b_imu)
+    rotate_back(x, C, s.nav.v_n)
+    cross(y, s.nav.w_nb_b, c.l_b_imu)
     for i in range(3):
         x[i] -= y[i]
     rotate(o.twist_linear, c.body, x)
-    rotate(o.twist_angular, c.body, s.w_nb_b)
+    rotate(o.twist_angular, c.body, s.nav.w_nb_b)
     J[:] = 0.0
     product_transposed(M, c.body, C)
     error_state.set_block(J, 0, _VELOCITY, 1.0, M)
     if not c.invariant:
-        skew(N, s.v_n)
+        skew(N, s.nav.v_n)
         product(o.C[0], M, N)
         error_state.set_block(J, 0, _ATTITUDE, 1.0, o.C[0])
     skew(M, c.l_b_imu)
     product(N, c.body, M)
     error_state.set_block(J, 0, _GYROSCOPE_BIAS, -1.0, N)
     error_state.set_block(J, 3, _GYROSCOPE_BIAS, -1.0, c.body)
-    _congruence(o.twist_covariance, J, s.P, n)
+    _congruence(o.twist_covariance, J, s.nav.P, n)
     # The sample's noise, and what its channels do not see, enter as the gyroscope bias does.
     for a in range(3):
         for b in range(3):
-            M[a, b] = c.density * c.rate * s.Q_w[a, b]
+            M[a, b] = c.density * c.rate * s.noise.Q_w[a, b]
             for i in range(3):
-                if s.unseen_ns[3 + i] != NEVER:
-                    sigma = unseen_sigma(c, s.reading, 3 + i)
+                if s.channels.unseen_ns[3 + i] != NEVER:
+                    sigma = unseen_sigma(c, s.channels.reading, 3 + i)
                     M[a, b] += c.C_b_i[a, i] * sigma**2 * c.C_b_i[b, i]
     for i in range(6):
         for j in range(6):
@@ -196,16 +193,16 @@ def _congruence(out: Array, J: Array, P: Array, n: int) -> None:
 
 def biases(filter_: Filter, s: State) -> Biases:
     """Biases of a state record."""
-    axes = CONVENTIONS[filter_.parameters.frame_convention]
-    to_imu = axes.body @ filter_.C_b_i.T
-    P = s["P"]
+    to_imu = filter_.vehicle.axes.body @ filter_.C_b_i.T
+    nav = s["nav"]
+    P = nav["P"]
     return Biases(
-        stamp_ns=int(s["time_ns"]),
-        accelerometer=to_imu @ s["b_f"],
+        stamp_ns=int(nav["time_ns"]),
+        accelerometer=to_imu @ nav["b_f"],
         accelerometer_covariance=_symmetric(
             to_imu @ P[ACCELEROMETER_BIAS, ACCELEROMETER_BIAS] @ to_imu.T
         ),
-        gyroscope=to_imu @ s["b_w"],
+        gyroscope=to_imu @ nav["b_w"],
         gyroscope_covariance=_symmetric(to_imu @ P[GYROSCOPE_BIAS, GYROSCOPE_BIAS] @ to_imu.T),
     )
 

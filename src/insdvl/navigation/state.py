@@ -1,15 +1,22 @@
-"""The filter's whole memory as one flat record, so that a snapshot is a copy of it.
+"""The filter's whole memory as one nested record, so that a snapshot is a copy of it.
 
-A record is a numpy structured scalar: its fields are named in Python and in the kernels alike, and
-it passes between the two without conversion. Everything that the future depends on is in it.
+A record is a numpy structured scalar. Its fields are named in Python (``s["nav"]["v_n"]``) and in
+the kernels (``s.nav.v_n``) alike, and it passes between the two without conversion. Everything that
+the future depends on is in it.
+
+Every field is declared once, with what it may hold: the empty record, the counters of diagnostics
+and the check of a state file follow from the declaration. The record has room for every
+measurement's gate and for every block of optional error states, whatever is configured, so no
+compiled type depends on the configuration.
 """
 
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-from insdvl.navigation.parameters import FilterParameters
+from insdvl.arrays import Records
 
 # A record's fields are attributes in kernels and keys in Python, which no static type expresses.
 #: A state record, see `state_type`.
@@ -22,138 +29,210 @@ Workspace: TypeAlias = Any
 #: Stamp of something that has not happened.
 NEVER = -(2**62)
 
+#: Error states that every filter has, see error_state.py.
+CORE = 15
+#: Most rows of one measurement.
+MAX_ROWS = 4
+#: Most innovations that the adaptive process noise averages.
+MAX_WINDOW = 50
 
-def state_size(parameters: FilterParameters) -> int:
-    """Number of error states n: 15, and 3 more with a model of the DVL's error."""
-    return 15 if parameters.dvl.bias_model == "none" else 18
+# What a field holds, for the empty record and for the check of a stored one.
+STAMP = "stamp"  # nanoseconds, NEVER at first
+COUNT = "count"  # an integer, 0 at first
+NUMBER = "number"  # finite, 0 at first
+UNKNOWN = "unknown"  # finite once it is known, nan at first
+COVARIANCE = "covariance"  # symmetric, positive semidefinite, 0 at first
 
 
-def state_type(n: int, window: int) -> np.dtype[np.void]:
-    """Type of the state record.
+@dataclass(frozen=True)
+class Field:
+    """One field of the record: its name, what it holds, its shape and the meaning."""
 
-    Args:
-        n: Number of error states, 15 or 18.
-        window: Number of innovations that the adaptive process noise keeps, 0 for none.
-    """
-    adaptive = n if window else 0
-    return np.dtype(
-        [
-            # Time
-            ("time_ns", "i8"),  # stamp of the state
-            ("imu_ns", "i8"),  # stamp of the last IMU sample that is complete
-            ("gap_ns", "i8"),  # and of the last one that ended a gap
-            # Origin of odom on the Earth, nan until it is known: lat, lon [rad], h [m]
-            ("lat_0", "f8"),
-            ("lon_0", "f8"),
-            ("h_0", "f8"),
-            # Nominal state, at the IMU, in the axes of base_link and NED
-            ("initialised", "i8"),
-            ("C_n_b", "f8", (3, 3)),
-            ("v_n", "f8", (3,)),  # m/s
-            ("p_n", "f8", (3,)),  # m from the origin
-            ("b_f", "f8", (3,)),  # accelerometer bias, m/s^2
-            ("b_w", "f8", (3,)),  # gyroscope bias, rad/s
-            ("b_d", "f8", (3,)),  # DVL error in DVL axes, m/s
-            ("w_nb_b", "f8", (3,)),  # turn rate over the last step, rad/s
-            # Covariance of the error state, in the order of error_state.py
-            ("P", "f8", (n, n)),
-            # Process noise in effect: variances per sample in base_link axes
-            ("Q_f", "f8", (3, 3)),  # (m/s^2)^2
-            ("Q_w", "f8", (3, 3)),  # (rad/s)^2
-            ("q_ns", "i8"),  # stamp of a Q that was told, NEVER while the nominal is in effect
-            # Adaptive process noise: density in the model's coordinates, and past innovations
-            ("Q_x", "f8", (adaptive, adaptive)),
-            ("innovations", "f8", (window, 3)),
-            ("innovation_count", "i8"),
-            # DVL: stamps of the last measurement that the gate judged and of the last it accepted,
-            # and the last reading, nan before the first
-            ("dvl_ns", "i8"),
-            ("accepted_ns", "i8"),
-            ("v_d", "f8", (3,)),
-            ("left", "f8", (3,)),  # innovation that the last accepted one left
-            ("nis", "f8"),  # running mean over those accepted
-            # Gate: for how long the DVL has borne the filter out [ns], rejections in a row, for how
-            # long they may go on [ns], stamp, innovation and NIS of the first, stamp and innovation
-            # of the last, and stamp of the last whose innovation had wandered
-            ("trusted_for", "i8"),
-            ("rejections", "i8"),
-            ("patient_for", "i8"),
-            ("rejected_from_ns", "i8"),
-            ("first", "f8", (3,)),
-            ("first_nis", "f8"),
-            ("rejected_ns", "i8"),
-            ("rejected", "f8", (3,)),
-            ("wandered_ns", "i8"),
-            # Innovation and stamp of the last of them that was surely an error of the DVL
-            ("fault", "f8", (3,)),
-            ("fault_ns", "i8"),
-            # The error that the DVL may have, one sigma, and until when
-            ("doubt", "f8", (3,)),
-            ("doubt_until_ns", "i8"),
-            # Channels of the IMU, in its axes, f x, y, z then w x, y, z: the last reading, how many
-            # samples have been exactly equal to it and the stamp of the first of them, and since
-            # when the channel does not show the motion (NEVER while it does)
-            ("reading", "f8", (6,)),
-            ("equal", "i8", (6,)),
-            ("equal_ns", "i8", (6,)),
-            ("unseen_ns", "i8", (6,)),
-            # Levelling: sum of the specific force, number of samples, stamp of the first
-            ("level_f", "f8", (3,)),
-            ("level_count", "i8"),
-            ("level_ns", "i8"),
-            # Counters for diagnostics
-            ("gaps", "i8"),
-            ("saturated", "i8"),  # samples
-            ("frozen", "i8"),  # samples
-            ("q_timeouts", "i8"),
-            ("floors", "i8"),
-            ("ceilings", "i8"),
-            ("inflations", "i8"),
-            ("restarts", "i8"),
-            ("without_origin", "i8"),
-            ("too_old", "i8"),  # initial states from long before the first sample
-            ("not_level", "i8"),  # levellings that began anew
-        ],
-        align=True,
+    name: str
+    holds: str
+    shape: tuple[int, ...] = ()
+
+    @property
+    def dtype(self) -> tuple[str, str, tuple[int, ...]]:
+        """As numpy wants it."""
+        return self.name, "i8" if self.holds in (STAMP, COUNT) else "f8", self.shape
+
+
+def _nav(n: int) -> tuple[Field, ...]:
+    """The state at a time, at the IMU, in the axes of base_link and NED."""
+    return (
+        Field("time_ns", STAMP),  # of the state
+        Field("initialised", COUNT),
+        # Origin of odom on the Earth: lat, lon [rad], h [m]
+        *(Field(name, UNKNOWN) for name in ("lat_0", "lon_0", "h_0")),
+        Field("C_n_b", NUMBER, (3, 3)),
+        Field("v_n", NUMBER, (3,)),  # m/s
+        Field("p_n", NUMBER, (3,)),  # m from the origin
+        Field("b_f", NUMBER, (3,)),  # accelerometer bias, m/s^2
+        Field("b_w", NUMBER, (3,)),  # gyroscope bias, rad/s
+        Field("optional", NUMBER, (n - CORE,)),  # states of the blocks that are on, in their order
+        Field("w_nb_b", NUMBER, (3,)),  # turn rate over the last step, rad/s
+        # Covariance of the error state, in the order of error_state.py; zero beyond those in use
+        Field("P", COVARIANCE, (n, n)),
     )
 
 
-#: Counters in the state record, by their names in diagnostics.
-COUNTERS = (
-    "gaps",
-    "saturated",
-    "frozen",
-    "q_timeouts",
-    "floors",
-    "ceilings",
-    "inflations",
-    "restarts",
-    "without_origin",
-    "too_old",
-    "not_level",
+def _noise(n: int) -> tuple[Field, ...]:
+    """Process noise in effect: variances per sample in base_link axes."""
+    return (
+        Field("Q_f", COVARIANCE, (3, 3)),  # (m/s^2)^2
+        Field("Q_w", COVARIANCE, (3, 3)),  # (rad/s)^2
+        Field("q_ns", STAMP),  # of a received Q, NEVER while the nominal is in effect
+        # Innovation-adaptive: density Q_x = root root^T in the model's coordinates, and innovations
+        Field("root", NUMBER, (n, 3)),
+        Field("innovations", NUMBER, (MAX_WINDOW, 3)),
+        Field("innovation_count", COUNT),
+    )
+
+
+#: What the gate remembers of one kind of measurement. Vectors have the rows that it has in use.
+_GATE = (
+    # Stamps of the last one that was judged and of the last that was accepted, and the last reading
+    Field("judged_ns", STAMP),
+    Field("accepted_ns", STAMP),
+    Field("reading", UNKNOWN, (MAX_ROWS,)),
+    Field("left", NUMBER, (MAX_ROWS,)),  # innovation that the last accepted one left
+    Field("nis", NUMBER),  # running mean over those accepted
+    # For how long the sensor has borne the filter out [ns], rejections in a row, for how long they
+    # may go on [ns], stamp, innovation and NIS of the first, stamp and innovation of the last, and
+    # stamp of the last whose innovation had wandered
+    Field("trusted_for", COUNT),
+    Field("rejections", COUNT),
+    Field("patient_for", COUNT),
+    Field("rejected_from_ns", STAMP),
+    Field("first", NUMBER, (MAX_ROWS,)),
+    Field("first_nis", NUMBER),
+    Field("rejected_ns", STAMP),
+    Field("rejected", NUMBER, (MAX_ROWS,)),
+    Field("wandered_ns", STAMP),
+    # Innovation and stamp of the last that was surely a fault of the sensor
+    Field("fault", NUMBER, (MAX_ROWS,)),
+    Field("fault_ns", STAMP),
+    # The error that the sensor may have, one sigma, and until when
+    Field("doubt", NUMBER, (MAX_ROWS,)),
+    Field("doubt_until_ns", STAMP),
 )
 
+#: Channels of the IMU, in its axes, f x, y, z then w x, y, z.
+_CHANNELS = (
+    Field("imu_ns", STAMP),  # of the last sample that is complete
+    Field("gap_ns", STAMP),  # and of the last one that ended a gap
+    Field("told_ns", STAMP),  # of the last accepted measurement that tells velocity and tilt
+    Field("reading", NUMBER, (6,)),  # the last one
+    # How many samples have been exactly equal to it, and the stamp of the first of them
+    Field("equal", COUNT, (6,)),
+    Field("equal_ns", STAMP, (6,)),
+    Field("unseen_ns", STAMP, (6,)),  # since when a channel does not show the motion
+)
 
-def empty_state(n: int, window: int) -> NDArray[np.void]:
-    """One state record, in an array of length 1, of a filter to which nothing has happened."""
-    states = np.zeros(1, state_type(n, window))
-    stamps = (
-        *("time_ns", "imu_ns", "gap_ns", "q_ns", "level_ns"),
-        *("dvl_ns", "accepted_ns", "rejected_from_ns", "rejected_ns", "fault_ns"),
-        *("wandered_ns", "doubt_until_ns"),
-        *("equal_ns", "unseen_ns"),
-    )
-    for name in stamps:
-        states[name] = NEVER
-    for name in ("lat_0", "lon_0", "h_0", "v_d"):
-        states[name] = np.nan
-    return states
+_START = (
+    # Levelling: sum of the specific force, number of samples, stamp of the first
+    Field("level_f", NUMBER, (3,)),
+    Field("level_count", COUNT),
+    Field("level_ns", STAMP),
+)
+
+_COUNTERS = (
+    Field("gaps", COUNT),
+    Field("saturated", COUNT),  # samples
+    Field("frozen", COUNT),  # samples
+    Field("q_timeouts", COUNT),
+    Field("floors", COUNT),
+    Field("ceilings", COUNT),
+    Field("inflations", COUNT),
+    Field("restarts", COUNT),
+    Field("without_origin", COUNT),
+    Field("too_old", COUNT),  # initial states from long before the first sample
+    Field("not_level", COUNT),  # levellings that were restarted
+)
+
+#: Counters in the state record, by their names in diagnostics.
+COUNTERS = tuple(field.name for field in _COUNTERS)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Which groups and fields a state record has.
+
+    Attributes:
+        groups: Fields of each group, by its name.
+        gates: Fields of the gate, the same for each measurement in ``measurements``.
+        measurements: Names of all kinds of measurements.
+        size: Most error states n that can be in use.
+    """
+
+    groups: dict[str, tuple[Field, ...]]
+    gates: tuple[Field, ...]
+    measurements: tuple[str, ...]
+    size: int
+
+    def fields(self) -> Iterator[tuple[tuple[str, ...], Field]]:
+        """Path (group, or ``gate`` and measurement) and declaration of each field."""
+        for group, fields in self.groups.items():
+            for field in fields:
+                yield (group,), field
+        for name in self.measurements:
+            for field in self.gates:
+                yield ("gate", name), field
+
+    @property
+    def dtype(self) -> np.dtype[np.void]:
+        """Type of the record."""
+        groups = [(name, _type(fields)) for name, fields in self.groups.items()]
+        gates = [(name, _type(self.gates)) for name in self.measurements]
+        return np.dtype([*groups, ("gate", np.dtype(gates, align=True))], align=True)
+
+    def empty(self) -> Records:
+        """One record, in an array of length 1, of a filter to which nothing has happened."""
+        states = np.zeros(1, self.dtype)
+        for path, field in self.fields():
+            group = part(states[0], path)
+            if field.holds == STAMP:
+                group[field.name] = NEVER
+            elif field.holds == UNKNOWN:
+                group[field.name] = np.nan
+        return states
+
+
+def _type(fields: Sequence[Field]) -> np.dtype[np.void]:
+    return np.dtype([field.dtype for field in fields], align=True)
+
+
+def part(s: State, path: Sequence[str]) -> State:
+    """The group of a record at a path of names."""
+    for name in path:
+        s = s[name]
+    return s
+
+
+def layout(measurements: Sequence[str], optional: int) -> Layout:
+    """Layout of the state record.
+
+    Args:
+        measurements: Names of all kinds of measurements.
+        optional: Number of error states in all optional blocks together.
+    """
+    n = CORE + optional
+    groups = {
+        "nav": _nav(n),
+        "noise": _noise(n),
+        "channels": _CHANNELS,
+        "start": _START,
+        "counters": _COUNTERS,
+    }
+    return Layout(groups, _GATE, tuple(measurements), n)
 
 
 def constants_type(n: int) -> np.dtype[np.void]:
-    """Type of the constants record of a filter with n error states."""
+    """Type of the constants record, with room for n error states."""
     return np.dtype(
         [
+            ("n", "i8"),  # error states in use
             ("invariant", "i8"),  # 1: error_state 'invariant', 0: 'ned'
             ("earth_rate", "i8"),
             # Process noise
@@ -164,18 +243,19 @@ def constants_type(n: int) -> np.dtype[np.void]:
             ("Q_f_nominal", "f8", (3, 3)),
             ("Q_w_nominal", "f8", (3, 3)),
             ("q_timeout_ns", "i8"),
-            ("literal", "i8"),  # 1: the adaptive estimate replaces the input noise
+            # Innovation-adaptive process noise: innovations it takes (0: off), and whether its
+            # estimate replaces the input noise
+            ("window", "i8"),
+            ("literal", "i8"),
             ("gap_ns", "i8"),
             ("gap_f", "f8"),  # unseen acceleration, one sigma
             ("gap_w", "f8"),
             ("C_b_i", "f8", (3, 3)),  # IMU to base_link
             ("range", "f8", (6,)),  # of the channels, inf where none is declared
             ("frozen", "i8"),  # so many equal samples, in a row
-            # DVL
-            ("C_d_b", "f8", (3, 3)),  # base_link to DVL
-            ("l_b", "f8", (3,)),  # from the IMU to the DVL, base_link axes, m
-            ("bias_variance", "f8"),  # of the Gauss-Markov error, stationary
-            ("bias_rate", "f8"),  # 1 / time constant
+            # Optional states: stationary variance and 1 / time constant
+            ("variance", "f8", (n - CORE,)),
+            ("decay", "f8", (n - CORE,)),
             # Output
             ("l_b_imu", "f8", (3,)),  # position of the IMU in base_link, m
             ("nav", "f8", (3, 3)),  # NED to the stream's navigation axes
@@ -198,36 +278,37 @@ def workspace_type(n: int) -> np.dtype[np.void]:
             ("w_en_n", "f8", (3,)),
             ("w_in_n", "f8", (3,)),
             ("W_v", "f8", (3, 3)),  # d w_en / d v_n
+            # Readings without bias, and without the channels that are frozen
+            ("f_hat", "f8", (3,)),
+            ("w_hat", "f8", (3,)),
             # Density of the motion that the channels of the IMU do not see, in its axes, what of
-            # their turn is about the vertical and not told by the DVL, and which are frozen
+            # their turn is about the vertical and not told by a measurement, and which are frozen
             ("unseen", "f8", (6,)),
             ("unseen_heading", "f8", (6,)),
             ("frozen", "i8", (6,)),
+            # Densities of the input noise over the step
+            ("S_f", "f8", (3, 3)),
+            ("S_w", "f8", (3, 3)),
+            # Scratch of the mechanisation: turns over the step and their means, and vectors
+            ("turn", "f8", (3, 3)),
+            ("mean_turn", "f8", (3, 3)),
+            ("frame", "f8", (3, 3)),
+            ("frame_mean", "f8", (3, 3)),
+            ("rotated", "f8", (3, 3)),
+            ("coriolis", "f8", (3,)),  # 2 w_ie + w_en
+            ("a_n", "f8", (3,)),
+            ("w_in_b", "f8", (3,)),
+            ("g_b", "f8", (3,)),
+            # Scratch of the error dynamics and the input noise: [v x], another [a x], a block
+            ("v_x", "f8", (3, 3)),
+            ("a_x", "f8", (3, 3)),
+            ("block", "f8", (3, 3)),
             # Error dynamics and discretisation
             ("F", "f8", (n, n)),
             ("Phi", "f8", (n, n)),
             ("Phi_T", "f8", (n, n)),
             ("Q_d", "f8", (n, n)),
-            ("A", "f8", (n, n)),  # scratch, as B
-            ("B", "f8", (n, n)),
-            # Measurement
-            ("H", "f8", (3, n)),
-            ("R", "f8", (3, 3)),
-            ("S", "f8", (3, 3)),
-            ("S_inv", "f8", (3, 3)),
-            ("K", "f8", (n, 3)),
-            ("innovation", "f8", (3,)),
-            # Scratch
-            ("N1", "f8", (3, 3)),
-            ("N2", "f8", (3, 3)),
-            ("M1", "f8", (3, 3)),
-            ("M2", "f8", (3, 3)),
-            ("M3", "f8", (3, 3)),
-            ("M4", "f8", (3, 3)),
-            ("x1", "f8", (3,)),
-            ("x2", "f8", (3,)),
-            ("x3", "f8", (3,)),
-            ("x4", "f8", (3,)),
+            ("A", "f8", (n, n)),  # Phi (P + Q_d / 2)
         ],
         align=True,
     )

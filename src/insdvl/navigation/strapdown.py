@@ -31,8 +31,8 @@ MAX_DEPTH = 12_000.0
 @kernel
 def earth_terms(s: State, w: Workspace, c: Constants) -> None:
     """Earth rate, transport rate matrix and gravity at the state's position into the workspace."""
-    lat = earth.latitude(s.lat_0, s.h_0, s.p_n[0])
-    h = s.h_0 - min(max(s.p_n[2], -MAX_DEPTH), MAX_DEPTH)
+    lat = earth.latitude(s.nav.lat_0, s.nav.h_0, s.nav.p_n[0])
+    h = s.nav.h_0 - min(max(s.nav.p_n[2], -MAX_DEPTH), MAX_DEPTH)
     w.g_n[0] = 0.0
     w.g_n[1] = 0.0
     w.g_n[2] = earth.gravity(lat, h)
@@ -58,8 +58,8 @@ def turn_rate(w_nb_b: np.ndarray, s: State, w: Workspace, c: Constants, w_ib_b: 
         w_ib_b: (3,) angular rate [rad/s], bias removed, base_link axes.
     """
     earth_terms(s, w, c)
-    navigation_rate(w, s.v_n)
-    rotate_back(w_nb_b, s.C_n_b, w.w_in_n)
+    navigation_rate(w, s.nav.v_n)
+    rotate_back(w_nb_b, s.nav.C_n_b, w.w_in_n)
     for i in range(3):
         w_nb_b[i] = w_ib_b[i] - w_nb_b[i]
 
@@ -68,8 +68,8 @@ def turn_rate(w_nb_b: np.ndarray, s: State, w: Workspace, c: Constants, w_ib_b: 
 def acceleration(w: Workspace, v_n: np.ndarray, a_n: np.ndarray) -> None:
     """a_n = f_n + g_n - (2 w_ie_n + w_en_n) x v_n, with what is in the workspace."""
     for i in range(3):
-        w.x4[i] = 2.0 * w.w_ie_n[i] + w.w_en_n[i]
-    cross(a_n, w.x4, v_n)
+        w.coriolis[i] = 2.0 * w.w_ie_n[i] + w.w_en_n[i]
+    cross(a_n, w.coriolis, v_n)
     for i in range(3):
         a_n[i] = w.f_n[i] + w.g_n[i] - a_n[i]
 
@@ -81,7 +81,7 @@ def mechanise(
     """Advance C_n_b, v_n and p_n of a state over a step.
 
     The workspace keeps the middle of the step for the error dynamics: C_mean, f_n, v_n, g_n, the
-    rates. ``s.w_nb_b`` becomes the turn rate over the step.
+    rates. ``s.nav.w_nb_b`` becomes the turn rate over the step.
 
     Args:
         f_b: (3,) specific force [m/s^2], bias removed, base_link axes.
@@ -89,32 +89,32 @@ def mechanise(
         dt: Step [s].
     """
     earth_terms(s, w, c)
-    navigation_rate(w, s.v_n)
+    navigation_rate(w, s.nav.v_n)
 
     # Body turn over the step and its mean; the frame's turn to the middle and to the end.
-    turn, mean_turn, frame = w.M1, w.M2, w.M3
+    turn, mean_turn, frame, frame_mean = w.turn, w.mean_turn, w.frame, w.frame_mean
     exponential(turn, mean_turn, w_ib_b[0] * dt, w_ib_b[1] * dt, w_ib_b[2] * dt)
     half = -0.5 * dt
-    exponential(frame, w.M4, w.w_in_n[0] * half, w.w_in_n[1] * half, w.w_in_n[2] * half)
-    product(w.M4, s.C_n_b, mean_turn)
-    product(w.C_mean, frame, w.M4)
+    exponential(frame, frame_mean, w.w_in_n[0] * half, w.w_in_n[1] * half, w.w_in_n[2] * half)
+    product(w.rotated, s.nav.C_n_b, mean_turn)
+    product(w.C_mean, frame, w.rotated)
     rotate(w.f_n, w.C_mean, f_b)
 
     # Velocity at the middle, then the rates there, then the whole step.
-    acceleration(w, s.v_n, w.x1)
+    acceleration(w, s.nav.v_n, w.a_n)
     for i in range(3):
-        w.v_n[i] = s.v_n[i] + 0.5 * dt * w.x1[i]
+        w.v_n[i] = s.nav.v_n[i] + 0.5 * dt * w.a_n[i]
     navigation_rate(w, w.v_n)
-    acceleration(w, w.v_n, w.x1)
+    acceleration(w, w.v_n, w.a_n)
     for i in range(3):
-        s.p_n[i] += dt * (s.v_n[i] + 0.5 * dt * w.x1[i])
-        s.v_n[i] += dt * w.x1[i]
+        s.nav.p_n[i] += dt * (s.nav.v_n[i] + 0.5 * dt * w.a_n[i])
+        s.nav.v_n[i] += dt * w.a_n[i]
 
-    product(w.M4, s.C_n_b, turn)
-    exponential(frame, w.M2, -w.w_in_n[0] * dt, -w.w_in_n[1] * dt, -w.w_in_n[2] * dt)
-    product(s.C_n_b, frame, w.M4)
-    orthonormalise(s.C_n_b, w.M4)
+    product(w.rotated, s.nav.C_n_b, turn)
+    exponential(frame, frame_mean, -w.w_in_n[0] * dt, -w.w_in_n[1] * dt, -w.w_in_n[2] * dt)
+    product(s.nav.C_n_b, frame, w.rotated)
+    orthonormalise(s.nav.C_n_b, w.rotated)
 
-    rotate_back(w.x1, s.C_n_b, w.w_in_n)
+    rotate_back(w.w_in_b, s.nav.C_n_b, w.w_in_n)
     for i in range(3):
-        s.w_nb_b[i] = w_ib_b[i] - w.x1[i]
+        s.nav.w_nb_b[i] = w_ib_b[i] - w.w_in_b[i]

@@ -12,18 +12,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from insdvl import files
+from insdvl.arrays import Array, Records
 from insdvl.navigation.events import MAX_DISTANCE, MAX_SPEED, MAX_VARIANCE, NS
-from insdvl.navigation.filter import Filter
+from insdvl.navigation.filter import LAYOUT, Filter
 from insdvl.navigation.parameters import FilterParameters
-from insdvl.navigation.state import NEVER, State
+from insdvl.navigation.state import COVARIANCE, NEVER, NUMBER, STAMP, Field, State, part
 from insdvl.parameters.declaration import flatten
 
-Records = NDArray[np.void]
-
-FORMAT = "insdvl state 1"
+FORMAT = "insdvl state 2"
 #: The line of JSON is no longer than this [bytes].
 MAX_HEADER = 65_536
 
@@ -35,21 +33,12 @@ DECIDING = (
     "imu.mount",
     "imu.lever_arm",
     "dvl.mount",
-    "dvl.bias_model",
     "process_noise.",
     "initial.",
     "origin.",
 )
 
 _GROUPS = tuple(name for name in DECIDING if name.endswith("."))
-
-#: Fields that must be finite, and those that must be covariances.
-_FINITE = (
-    *("lat_0", "lon_0", "h_0", "C_n_b", "v_n", "p_n", "b_f", "b_w", "b_d", "w_nb_b"),
-    *("Q_x", "innovations", "nis", "left", "first", "first_nis", "rejected"),
-    *("fault", "doubt"),
-)
-_COVARIANCES = ("P", "Q_f", "Q_w")
 
 #: For so long a file that was not used is told of when there is another.
 TOLD_NS = 60 * NS
@@ -69,8 +58,9 @@ def encode(record: State, parameters: FilterParameters) -> bytes:
     data = record.tobytes()
     header = {
         "format": FORMAT,
-        "stamp_ns": int(record["imu_ns"]),
+        "stamp_ns": int(record["channels"]["imu_ns"]),
         "layout": _layout(record.dtype),
+        "blocks": _blocks(parameters),
         "parameters": _deciding(parameters),
         "sha256": _sha256(data),
     }
@@ -87,29 +77,33 @@ def decode(data: bytes, filter_: Filter) -> Records:
     Raises:
         StateFileError: It is damaged, or of another version or filter.
     """
-    start = filter_.start()
     line, newline, body = data.partition(b"\n")
     try:
         header = json.loads(line) if newline else None
     except (ValueError, RecursionError):
         header = None
     if not isinstance(header, dict) or not isinstance(header.get("parameters"), dict):
-        raise StateFileError("it is damaged: its first line is no header")
-    if header.get("format") != FORMAT or header.get("layout") != _layout(start.dtype):
-        raise StateFileError("it is of another version or of other error states")
-    if len(body) != start.dtype.itemsize or header.get("sha256") != _sha256(body):
-        raise StateFileError("it is damaged: the record does not have its checksum")
+        raise StateFileError("damaged: the first line is not a header")
+    if header.get("format") != FORMAT or header.get("layout") != _layout(LAYOUT.dtype):
+        raise StateFileError("written by another version of this software")
+    if len(body) != LAYOUT.dtype.itemsize or header.get("sha256") != _sha256(body):
+        raise StateFileError("damaged: wrong checksum")
+    if header.get("blocks") != _blocks(filter_.parameters):
+        raise StateFileError(
+            f"written with different error states: optional blocks were "
+            f"{files.shown(header.get('blocks'))}, now {files.shown(_blocks(filter_.parameters))}"
+        )
     theirs, ours = header["parameters"], _deciding(filter_.parameters)
     for name in sorted(theirs.keys() | ours.keys()):
         if theirs.get(name) != ours.get(name):
             raise StateFileError(
-                f"it is of other parameters: '{name}' was {files.shown(theirs.get(name))} and is "
-                f"{files.shown(ours.get(name))}"
+                f"written with different parameters: '{name}' was {files.shown(theirs.get(name))}, "
+                f"now {files.shown(ours.get(name))}"
             )
-    record = np.frombuffer(body, start.dtype).copy()
+    record = np.frombuffer(body, LAYOUT.dtype).copy()
     _check(record[0])
-    if header.get("stamp_ns") != int(record[0]["imu_ns"]):
-        raise StateFileError("it is damaged: its first line has another stamp than the record")
+    if header.get("stamp_ns") != int(record[0]["channels"]["imu_ns"]):
+        raise StateFileError("damaged: the first line and the record have different stamps")
     return record
 
 
@@ -119,18 +113,18 @@ def load(path: Path, filter_: Filter) -> Records | None:
     Raises:
         StateFileError: It cannot be read, or `decode` refuses it.
     """
-    longest = MAX_HEADER + 1 + filter_.start().dtype.itemsize
+    longest = MAX_HEADER + 1 + LAYOUT.dtype.itemsize
     try:
         if not path.exists():
             return None
         if not path.is_file():  # reading it might wait for ever
-            raise StateFileError("it is no file")
+            raise StateFileError("not a regular file")
         with path.open("rb") as file:
             data = file.read(longest + 1)
     except OSError as error:
-        raise StateFileError(f"it cannot be read: {error.strerror or error}") from error
+        raise StateFileError(f"cannot be read: {error.strerror or error}") from error
     if len(data) > longest:
-        raise StateFileError(f"it is damaged: it is longer than {longest} bytes")
+        raise StateFileError(f"damaged: longer than {longest} bytes")
     return decode(data, filter_)
 
 
@@ -169,7 +163,7 @@ class StateFile:
             self._set_aside(str(error))
             return None
         if record is not None:
-            self._loaded_ns = self._tried_ns = int(record[0]["imu_ns"])
+            self._loaded_ns = self._tried_ns = int(record[0]["channels"]["imu_ns"])
         return record
 
     def left_at(self, stamp_ns: int, to_ns: int) -> bool:
@@ -182,8 +176,8 @@ class StateFile:
         self._loaded_ns = self._tried_ns = None
         limit = self._filter.parameters.jump_limit
         self._set_aside(
-            f"it is of stamp {stamp_ns / NS:.3f} s and the first sample of {to_ns / NS:.3f} s, "
-            f"which is not within jump_limit ({limit:g} s) after it"
+            f"its stamp is {stamp_ns / NS:.3f} s; the first sample, at {to_ns / NS:.3f} s, is not "
+            f"within jump_limit ({limit:g} s) after it"
         )
         return True
 
@@ -206,7 +200,7 @@ class StateFile:
         Args:
             state: An initialised state.
         """
-        now_ns = int(state["imu_ns"])
+        now_ns = int(state["channels"]["imu_ns"])
         if self._tried_ns is not None and 0 <= now_ns - self._tried_ns < self._period_ns:
             return
         self._tried_ns = now_ns
@@ -216,7 +210,7 @@ class StateFile:
         except OSError as error:
             self._fail(error.strerror or str(error))
         except StateFileError as error:
-            self._fail(f"of the state, {error}")
+            self._fail(f"state not written: {error}")
         else:
             if self._first_ns is None:
                 self._first_ns = now_ns
@@ -243,6 +237,12 @@ def _deciding(parameters: FilterParameters) -> dict[str, Any]:
     return dict(json.loads(json.dumps(deciding)))
 
 
+def _blocks(parameters: FilterParameters) -> list[list[Any]]:
+    """Name and size of each optional block of error states, in their order."""
+    sensors = parameters.sensors.values()
+    return [[block.name, len(block.std)] for sensor in sensors for block in sensor.blocks()]
+
+
 def _layout(dtype: np.dtype[np.void]) -> str:
     """Digest of the names, types, shapes and places of a record's fields."""
     return _sha256(repr([dtype.descr, dtype.itemsize]).encode())
@@ -258,29 +258,36 @@ def _check(s: State) -> None:
     Raises:
         StateFileError: It names the field.
     """
+    nav, imu_ns = s["nav"], s["channels"]["imu_ns"]
 
-    def require(right: Any, name: str) -> None:
+    def require(right: Any, name: str, value: Any) -> None:
         if not right:
-            value = files.shown(np.asarray(s[name]).tolist())
-            raise StateFileError(f"it is damaged: '{name}' is {value}")
+            raise StateFileError(f"damaged: '{name}' is {files.shown(np.asarray(value).tolist())}")
 
-    require(s["initialised"] == 1, "initialised")
-    require(0 <= s["time_ns"] == s["imu_ns"], "imu_ns")
-    for name in s.dtype.names:
-        if name.endswith("_ns"):
-            stamps = np.asarray(s[name])
-            past = (stamps >= 0) & (stamps <= s["time_ns"])
-            require((past | (stamps == NEVER)).all(), name)
-    for name in _FINITE:
-        require(np.isfinite(s[name]).all(), name)
-    require(abs(s["lat_0"]) <= np.pi / 2, "lat_0")
-    C = s["C_n_b"]
-    require(np.abs(C @ C.T - np.eye(3)).max() < 1e-6 and np.linalg.det(C) > 0.0, "C_n_b")
-    require(np.abs(s["v_n"]).max() <= MAX_SPEED, "v_n")
-    require(np.abs(s["p_n"]).max() <= MAX_DISTANCE, "p_n")
-    for name in _COVARIANCES:
-        P = s[name]
-        require(np.isfinite(P).all() and np.abs(P).max() <= MAX_VARIANCE, name)
-        scale = np.abs(P).max()
-        symmetric = np.abs(P - P.T).max() <= 1e-9 * scale
-        require(symmetric and np.linalg.eigvalsh(P)[0] >= -1e-9 * scale, name)
+    require(nav["initialised"] == 1, "initialised", nav["initialised"])
+    require(0 <= nav["time_ns"] == imu_ns, "imu_ns", imu_ns)
+    for path, field in LAYOUT.fields():
+        value = part(s, path)[field.name]
+        require(_holds(field, value, nav["time_ns"]), ".".join((*path, field.name)), value)
+    require(np.isfinite([nav["lat_0"], nav["lon_0"], nav["h_0"]]).all(), "lat_0", nav["lat_0"])
+    require(abs(nav["lat_0"]) <= np.pi / 2, "lat_0", nav["lat_0"])
+    C = nav["C_n_b"]
+    require(np.abs(C @ C.T - np.eye(3)).max() < 1e-6 and np.linalg.det(C) > 0.0, "C_n_b", C)
+    require(np.abs(nav["v_n"]).max() <= MAX_SPEED, "v_n", nav["v_n"])
+    require(np.abs(nav["p_n"]).max() <= MAX_DISTANCE, "p_n", nav["p_n"])
+
+
+def _holds(field: Field, value: Array, time_ns: int) -> bool:
+    """Whether a field holds what it may, in a state at a time."""
+    if field.holds == STAMP:
+        stamps = np.asarray(value)
+        return bool((((stamps >= 0) & (stamps <= time_ns)) | (stamps == NEVER)).all())
+    if field.holds == NUMBER:
+        return bool(np.isfinite(value).all())
+    if field.holds == COVARIANCE:
+        scale = np.abs(value).max()
+        if not scale <= MAX_VARIANCE:  # nan is not
+            return False
+        symmetric = np.abs(value - value.T).max() <= 1e-9 * scale
+        return bool(symmetric and np.linalg.eigvalsh(value)[0] >= -1e-9 * scale)
+    return True

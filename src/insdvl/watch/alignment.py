@@ -23,10 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl.kernels import kernel
-from insdvl.navigation.events import NS, Dvl, Event, Imu
+from insdvl.navigation.events import NS, Event, Imu
 from insdvl.navigation.geometry.frames import CONVENTIONS, rotation_from_rpy
 from insdvl.navigation.geometry.rotation import exponential, rotate
 from insdvl.navigation.geometry.rotation import product as matrix_product
+from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 
 Array = NDArray[np.float64]

@@ -9,7 +9,8 @@ import pytest
 
 from insdvl.messages.convert import RejectedMessage
 from insdvl.messages.inputs import Inputs
-from insdvl.navigation.events import NS, Dvl, Event, Imu, Initial, Origin, ProcessNoise
+from insdvl.navigation.events import NS, Event, Imu, Initial, Origin, ProcessNoise
+from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.state import NEVER
 from insdvl.parameters.declaration import build

@@ -10,6 +10,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from records import P15
 from reset import apply_it_after_every_update
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, norm
@@ -22,7 +23,8 @@ from insdvl.navigation.error_state import (
     VELOCITY,
     body_velocity_jacobian,
 )
-from insdvl.navigation.events import Dvl, Initial
+from insdvl.navigation.events import Initial
+from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import (
     DvlParameters,
     FilterParameters,
@@ -35,7 +37,7 @@ from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.mission import ImuModel, simulate
 from insdvl.simulation.noise import constant
 from insdvl.simulation.trajectories import AUV, Truth
-from insdvl.timeline.fold import run
+from insdvl.timeline.recorded import fold_arrays
 
 FIRST_SEED = 31_415
 RUNS = 100
@@ -159,7 +161,7 @@ def fly(case: Case) -> Study:
         rng = np.random.default_rng([seed, 1])
         initial = drawn_initial(mission.initial, case, rng)
         pings = zip(mission.dvl_stamps_ns.tolist(), mission.v_d, strict=True)
-        result = run(
+        result = fold_arrays(
             settings,
             mission.stamps_ns,
             mission.f_b,
@@ -185,20 +187,20 @@ def block_errors(
     s: np.void, truth: Truth, bias: np.ndarray, k: int, invariant: bool
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Error and covariance of each block; the velocity is that in body axes."""
-    C_hat, C, P = s["C_n_b"], truth.C_n_b[k], s["P"]
+    C_hat, C, P = s["nav"]["C_n_b"], truth.C_n_b[k], P15(s)
     rotation = Rotation.from_matrix(C @ C_hat.T)
     psi = rotation.as_rotvec()
-    v_turned = rotation.as_matrix() @ s["v_n"] if invariant else s["v_n"]
-    J = body_velocity_jacobian(C_hat, s["v_n"], invariant=invariant, n=len(P))
-    db = bias[k] - np.concatenate([s["b_f"], s["b_w"]])
+    v_turned = rotation.as_matrix() @ s["nav"]["v_n"] if invariant else s["nav"]["v_n"]
+    J = body_velocity_jacobian(C_hat, s["nav"]["v_n"], invariant=invariant, n=len(P))
+    db = bias[k] - np.concatenate([s["nav"]["b_f"], s["nav"]["b_w"]])
     both = slice(VELOCITY.start, ATTITUDE.stop)
     biases = slice(ACCELEROMETER_BIAS.start, GYROSCOPE_BIAS.stop)
     return {
-        "velocity": (C.T @ truth.v_n[k] - C_hat.T @ s["v_n"], J @ P @ J.T),
+        "velocity": (C.T @ truth.v_n[k] - C_hat.T @ s["nav"]["v_n"], J @ P @ J.T),
         "attitude": (psi, P[ATTITUDE, ATTITUDE]),
         "velocity and attitude": (np.concatenate([truth.v_n[k] - v_turned, psi]), P[both, both]),
         "biases": (db, P[biases, biases]),
-        "position": (truth.p_n[k] - s["p_n"], P[POSITION, POSITION]),
+        "position": (truth.p_n[k] - s["nav"]["p_n"], P[POSITION, POSITION]),
     }
 
 

@@ -13,14 +13,15 @@ from insdvl.navigation import error_state, strapdown
 from insdvl.navigation.error_state import (
     ACCELEROMETER_BIAS,
     ATTITUDE,
-    DVL_ERROR,
     GYROSCOPE_BIAS,
     POSITION,
     VELOCITY,
 )
 from insdvl.navigation.events import NS
-from insdvl.navigation.filter import Filter
+from insdvl.navigation.filter import LAYOUT, Filter
 from insdvl.navigation.geometry import earth
+from insdvl.navigation.measurements.base import Turn
+from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import (
     DvlParameters,
     FilterParameters,
@@ -31,6 +32,7 @@ from insdvl.navigation.parameters import (
 from insdvl.navigation.state import workspace_type
 
 MODELS = ("invariant", "ned")
+DVL_ERROR = slice(15, 18)
 WEIGHTS = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
 STEPS = (
     (VELOCITY, 1.0),
@@ -40,7 +42,7 @@ STEPS = (
     (POSITION, 1000.0),
     (DVL_ERROR, 0.1),
 )
-NOMINAL = ("C_n_b", "v_n", "b_f", "b_w", "p_n", "b_d")
+NOMINAL = ("C_n_b", "v_n", "b_f", "b_w", "p_n", "optional")
 
 
 def random_spd(rng, scale):
@@ -71,23 +73,23 @@ class Case:
         self.invariant = model == "invariant"
         self.n = self.filter.n
         self.constants = self.filter.constants[0]
-        self.workspace = np.zeros(1, workspace_type(self.n))[0]
+        self.workspace = np.zeros(1, workspace_type(LAYOUT.size))[0]
         self.nominal = {
             "C_n_b": Rotation.from_rotvec(3.0 * unit(rng)).as_matrix(),
             "v_n": speed * unit(rng),
             "b_f": rng.uniform(-0.1, 0.1, 3),
             "b_w": rng.uniform(-0.01, 0.01, 3),
             "p_n": rng.uniform(-100.0, 100.0, 3),
-            "b_d": rng.uniform(-0.1, 0.1, 3),
+            "optional": optional(rng.uniform(-0.1, 0.1, 3)),
         }
         self.f_b = np.array([0.0, 0.0, -9.8]) + rng.uniform(-2.0, 2.0, 3)
         self.w_ib_b = rng.uniform(-0.3, 0.3, 3)
         self.Q_f, self.Q_w = random_spd(rng, 1e-4), random_spd(rng, 1e-5)
 
     def record(self, nominal):
-        state = self.filter.start()
+        state = self.filter.empty()
         for name in NOMINAL:
-            state[0][name] = nominal[name]
+            state[0]["nav"][name] = nominal[name]
         return state
 
     def plus(self, nominal, x):
@@ -100,7 +102,8 @@ class Case:
             "b_f": nominal["b_f"] + x[ACCELEROMETER_BIAS],
             "b_w": nominal["b_w"] + x[GYROSCOPE_BIAS],
             "p_n": nominal["p_n"] + x[POSITION],
-            "b_d": nominal["b_d"] + (x[DVL_ERROR] if self.n > 15 else 0.0),
+            "optional": nominal["optional"]
+            + optional(x[DVL_ERROR] if self.n > 15 else np.zeros(3)),
         }
 
     def minus(self, true, nominal):
@@ -114,7 +117,7 @@ class Case:
         x[GYROSCOPE_BIAS] = true["b_w"] - nominal["b_w"]
         x[POSITION] = true["p_n"] - nominal["p_n"]
         if self.n > 15:
-            x[DVL_ERROR] = true["b_d"] - nominal["b_d"]
+            x[DVL_ERROR] = (true["optional"] - nominal["optional"])[:3]
         return x
 
     def jacobian(self, function):
@@ -136,7 +139,7 @@ class Case:
         f_b = (self.f_b if f_b is None else f_b) - nominal["b_f"]
         w_ib_b = (self.w_ib_b if w_ib_b is None else w_ib_b) - nominal["b_w"]
         strapdown.mechanise(state[0], self.workspace, self.constants, f_b, w_ib_b, dt)
-        return {name: state[0][name].copy() for name in NOMINAL}
+        return {name: state[0]["nav"][name].copy() for name in NOMINAL}
 
     def transition(self, dt):
         """Phi as the mechanisation has it, (n, n), from differences."""
@@ -150,12 +153,34 @@ class Case:
         self.moved(self.nominal, dt)
         error_state.dynamics(self.workspace, self.constants)
         error_state.discretise(self.workspace, self.constants, dt)
-        return self.workspace["F"].copy(), self.workspace["Phi"].copy()
+        used = slice(0, self.n)
+        return self.workspace["F"][used, used].copy(), self.workspace["Phi"][used, used].copy()
+
+    def linearised(self, nominal, v_d):
+        """The DVL's measurement at a state, with a turn rate that is known."""
+        turn = Turn(self.w_ib_b, np.zeros((3, 3)))
+        return self.filter.models["dvl"].linearise(self.record(nominal), Dvl(1, v_d), turn)
 
     def innovation(self, nominal, v_d):
-        state = self.record(nominal)
-        error_state.dvl_measurement(state[0], self.workspace, self.constants, v_d, self.w_ib_b)
-        return self.workspace["innovation"].copy()
+        return self.linearised(nominal, v_d).z_minus_h
+
+    @property
+    def C_d_b(self):  # noqa: N802
+        mount = Rotation.from_euler("xyz", self.filter.parameters.dvl.mount)
+        return mount.as_matrix().T
+
+    @property
+    def l_b(self):
+        return np.subtract(
+            self.filter.parameters.dvl.lever_arm, self.filter.parameters.imu.lever_arm
+        )
+
+
+def optional(b_d):
+    """The DVL's error among the optional states."""
+    states = np.zeros(LAYOUT.size - 15)
+    states[:3] = b_d
+    return states
 
 
 def unit(rng):
@@ -218,13 +243,13 @@ def test_transition_of_the_dvl_error():
 
     # The estimate goes the same way: without measurements nothing is known of an old error.
     state = case.record(case.nominal)
-    state[0]["time_ns"], state[0]["imu_ns"] = NS, NS
+    state[0]["nav"]["time_ns"], state[0]["channels"]["imu_ns"] = NS, NS
     end_ns = NS + round(dt * NS)
     case.filter.predict_part(
         state, end_ns, case.f_b, case.w_ib_b, np.hstack([case.f_b, case.w_ib_b]), end_ns
     )
     np.testing.assert_allclose(
-        state[0]["b_d"], np.exp(-dt / 10.0) * case.nominal["b_d"], rtol=1e-12
+        state[0]["nav"]["optional"], np.exp(-dt / 10.0) * case.nominal["optional"], rtol=1e-12
     )
 
 
@@ -234,8 +259,7 @@ def test_measurement(model, seed, bias_model):
     """H is the derivative of h, but for the transport rate in w_nb: 1e-7 per metre of arm."""
     case = Case(model, seed, bias_model=bias_model)
     measured = -case.jacobian(lambda x: case.innovation(case.plus(case.nominal, x), np.zeros(3)))
-    case.innovation(case.nominal, np.zeros(3))
-    H = case.workspace["H"].copy()
+    H = case.linearised(case.nominal, np.zeros(3)).H
 
     W_v = np.zeros((3, 3))
     lat = earth.latitude(
@@ -243,9 +267,9 @@ def test_measurement(model, seed, bias_model):
     )
     a, b, c = earth.transport_rate_coefficients(lat, -50.0 - case.nominal["p_n"][2])
     W_v[0, 1], W_v[1, 0], W_v[2, 1] = a, b, c
-    C_b_n, l_b = case.nominal["C_n_b"].T, case.constants["l_b"]
+    C_b_n, l_b = case.nominal["C_n_b"].T, case.l_b
     left_out = np.zeros((3, case.n))
-    left_out[:, VELOCITY] = case.constants["C_d_b"] @ skew(l_b) @ C_b_n @ W_v
+    left_out[:, VELOCITY] = case.C_d_b @ skew(l_b) @ C_b_n @ W_v
     if case.invariant:
         left_out[:, ATTITUDE] = -left_out[:, VELOCITY] @ skew(case.nominal["v_n"])
     assert abs(left_out).max() < 1e-5
@@ -268,7 +292,7 @@ def test_measurement_is_the_velocity_at_the_dvl():
     w_in_n = rate * np.array([np.cos(lat), 0.0, -np.sin(lat)])  # transport rate: below 1e-5
     w_nb_b = case.w_ib_b - case.nominal["b_w"] - C_n_b.T @ w_in_n
     v_b = C_n_b.T @ case.nominal["v_n"] + np.cross(w_nb_b, arm)
-    expected = v_d - mount.as_matrix().T @ v_b - case.nominal["b_d"]
+    expected = v_d - mount.as_matrix().T @ v_b - case.nominal["optional"][:3]
     np.testing.assert_allclose(innovation, expected, atol=1e-5)
 
 
@@ -280,7 +304,7 @@ def test_input_noise(model, seed):
     error_state.input_noise(
         case.record(case.nominal)[0], case.workspace, case.constants, case.Q_f, case.Q_w, dt
     )
-    Q_d = case.workspace["Q_d"].copy()
+    Q_d = case.workspace["Q_d"][:15, :15].copy()
     after = case.moved(case.nominal, dt)
     G = np.zeros((15, 12))
     for i, axis in enumerate(np.eye(3)):
@@ -303,10 +327,10 @@ def test_dvl_error_keeps_its_stationary_variance():
         case.model(dt)
         state = case.record(case.nominal)[0]
         error_state.input_noise(state, case.workspace, case.constants, case.Q_f, case.Q_w, dt)
-        P = np.eye(18) * case.constants["bias_variance"]
-        error_state.propagate(P, case.workspace)
+        P = np.eye(LAYOUT.size) * case.constants["variance"][0]
+        error_state.propagate(P, case.workspace, case.n)
         variance = np.diagonal(P)[DVL_ERROR]
-        np.testing.assert_allclose(variance, case.constants["bias_variance"], rtol=1e-12)
+        np.testing.assert_allclose(variance, case.constants["variance"][:3], rtol=1e-12)
 
 
 @pytest.mark.parametrize("bias_model", ["none", "gauss_markov"])
@@ -321,13 +345,15 @@ def test_covariance_over_a_step(model, bias_model):
         F, _ = case.model(dt)
         state = case.record(case.nominal)[0]
         error_state.input_noise(state, case.workspace, case.constants, case.Q_f, case.Q_w, dt)
-        noise = case.workspace["Q_d"] / dt
+        noise = case.workspace["Q_d"][:n, :n] / dt
         if n > 15:
             F[DVL_ERROR, DVL_ERROR] = -0.1 * np.eye(3)
-            noise[DVL_ERROR, DVL_ERROR] = 0.2 * case.constants["bias_variance"] * np.eye(3)
+            noise[DVL_ERROR, DVL_ERROR] = 0.2 * case.constants["variance"][0] * np.eye(3)
         Phi, Q_d = van_loan(F, noise, dt)
-        P = P_0.copy()
-        error_state.propagate(P, case.workspace)
+        room = np.zeros((LAYOUT.size, LAYOUT.size))
+        room[:n, :n] = P_0
+        error_state.propagate(room, case.workspace, n)
+        P = room[:n, :n]
         np.testing.assert_array_equal(P, P.T)
         errors.append(abs(P - Phi @ P_0 @ Phi.T - Q_d).max())
     orders = np.log2(np.divide(errors[:-1], errors[1:]))
@@ -339,12 +365,10 @@ def test_injection_moves_by_the_error(model):
     case = Case(model, 5, bias_model="gauss_markov")
     x = np.random.default_rng(6).uniform(-0.5, 0.5, 18)
     state = case.record(case.nominal)
-    case.workspace["K"], case.workspace["innovation"] = 0.0, (0.0, 2.0, 0.0)
-    case.workspace["K"][:, 1] = x / 2.0
-    error_state.inject(state[0], case.workspace, case.constants)
+    error_state.inject(state[0], case.constants, x)
     expected = case.plus(case.nominal, x)
     for name in NOMINAL:
-        np.testing.assert_allclose(state[0][name], expected[name], atol=1e-13, err_msg=name)
+        np.testing.assert_allclose(state[0]["nav"][name], expected[name], atol=1e-13, err_msg=name)
 
 
 @pytest.mark.parametrize("velocity_frame", ["body", "nav"])

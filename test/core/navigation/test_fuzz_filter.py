@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from records import P15
 
 from insdvl.messages.convert import RejectedMessage
 from insdvl.messages.inputs import Inputs
@@ -12,7 +13,9 @@ from insdvl.navigation.odometry import Odometry, biases
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build
 from insdvl.studies.faults.fuzz import Adversary
-from insdvl.timeline.fold import AppliedUpdate, Fold, TimeJump
+from insdvl.timeline.fold import Fold
+from insdvl.timeline.jumps import TimeJump
+from insdvl.timeline.output import AppliedUpdate
 
 COUNT = 800
 SETTINGS: dict[str, dict[str, Any]] = {
@@ -55,14 +58,16 @@ def check_state(fold: Fold) -> None:
     state = fold.latest
     if state is None:
         return
-    P = state["P"]
+    P = P15(state)
     assert np.isfinite(P).all()
     assert np.array_equal(P, P.T)
     scale = 1.0 / np.sqrt(np.diag(P))
     assert np.linalg.eigvalsh(scale[:, None] * P * scale)[0] > 0.0
     told = biases(fold.filter, state)
     assert np.isfinite(told.accelerometer).all() and np.isfinite(told.gyroscope).all()
-    np.testing.assert_allclose(state["C_n_b"] @ state["C_n_b"].T, np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(
+        state["nav"]["C_n_b"] @ state["nav"]["C_n_b"].T, np.eye(3), atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("odd", [0.02, 0.3])

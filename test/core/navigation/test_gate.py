@@ -4,12 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from records import P15, fields
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from insdvl.navigation.error_state import ATTITUDE, VELOCITY, body_velocity_jacobian
-from insdvl.navigation.events import NS, Dvl, Initial
+from insdvl.navigation.events import NS, Initial
 from insdvl.navigation.filter import Filter
+from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import (
     DvlParameters,
     FilterParameters,
@@ -23,7 +25,8 @@ from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.mission import ImuModel, Mission, simulate
 from insdvl.simulation.noise import constant, segments
 from insdvl.simulation.trajectories import AUV
-from insdvl.timeline.fold import FoldResult, run
+from insdvl.timeline.output import FoldResult
+from insdvl.timeline.recorded import fold_arrays
 
 SEED = 161_803
 RUNS = 20
@@ -83,11 +86,11 @@ def fly(
     samples = [m.stamps_ns, m.f_b, m.w_ib_b]
     if gap is not None:
         samples = [np.delete(array, gap, axis=0) for array in samples]
-    return run(settings, *samples, [start, *pings])
+    return fold_arrays(settings, *samples, [start, *pings])
 
 
 def body_velocity_error(result: FoldResult, m: Mission) -> np.ndarray:
-    v_b = np.einsum("kji,kj->ki", result.states["C_n_b"], result.states["v_n"])
+    v_b = np.einsum("kji,kj->ki", result.states["nav"]["C_n_b"], result.states["nav"]["v_n"])
     return np.einsum("kji,kj->ki", m.truth.C_n_b, m.truth.v_n) - v_b
 
 
@@ -134,7 +137,7 @@ def test_a_single_outlier_leaves_no_trace() -> None:
     assert (report.accepted, report.reason) == (False, "gate")
     assert sum(not u.report.accepted for u in spoilt.updates) == 1
     clean = fly(parameters(), m, v_d, without=at)
-    np.testing.assert_allclose(spoilt.states["v_n"], clean.states["v_n"], atol=1e-9)
+    np.testing.assert_allclose(spoilt.states["nav"]["v_n"], clean.states["nav"]["v_n"], atol=1e-9)
     assert not any(spoilt.counts[name] for name in ("inflations", "restarts"))
 
 
@@ -177,7 +180,10 @@ def test_after_the_limit_velocity_and_tilt_may_be_what_makes_the_innovation() ->
     last = jump_at + LIMIT
     k = int(np.searchsorted(m.stamps_ns, m.dvl_stamps_ns[last]))
     innovation = result.updates[last].report.innovation
-    before, after = result.states[k - 1]["P"], result.states[k]["P"]
+    before, after = (
+        P15(result.states[k - 1]),
+        P15(result.states[k]),
+    )
     # The velocity by the innovation; and once more, about the level axes, by a tilt that has led it
     # there in the 5 s since the last accepted measurement, fully correlated with that tilt.
     growth, square = after - before, innovation @ innovation
@@ -190,7 +196,7 @@ def test_after_the_limit_velocity_and_tilt_may_be_what_makes_the_innovation() ->
     )
     northwards, eastwards = growth[VELOCITY, ATTITUDE][0, 1], growth[VELOCITY, ATTITUDE][1, 0]
     np.testing.assert_allclose([northwards, -eastwards], -np.sqrt(square * tilt), rtol=2e-3)
-    assert result.states["inflations"][k - 1 : k + 1].tolist() == [0, 1]
+    assert result.states["counters"]["inflations"][k - 1 : k + 1].tolist() == [0, 1]
 
 
 def with_nonsense(m: Mission, at: int) -> np.ndarray:
@@ -215,16 +221,16 @@ def test_when_inflation_does_not_help_the_velocity_starts_again(error_state: str
     assert (reports[last].accepted, reports[last].reason) == (True, "restarted")
     k = int(np.searchsorted(m.stamps_ns, m.dvl_stamps_ns[last]))
     s = result.states[k]
-    np.testing.assert_allclose(s["C_n_b"].T @ s["v_n"], v_d[last], rtol=1e-9)
+    np.testing.assert_allclose(s["nav"]["C_n_b"].T @ s["nav"]["v_n"], v_d[last], rtol=1e-9)
     # As uncertain as ping and filter are apart, and in body axes independent of everything else.
     invariant = error_state == "invariant"
-    J = body_velocity_jacobian(s["C_n_b"], s["v_n"], invariant=invariant, n=15)
+    J = body_velocity_jacobian(s["nav"]["C_n_b"], s["nav"]["v_n"], invariant=invariant, n=15)
     doubt = DVL_STD**2 * np.eye(3) + np.outer(reports[last].innovation, reports[last].innovation)
-    np.testing.assert_allclose(J @ s["P"] @ J.T, doubt, rtol=1e-6, atol=1e-9)
-    rest = np.delete(J @ s["P"], np.r_[0:3], axis=1)
-    scale = DVL_STD * np.sqrt(np.diag(s["P"])[3:])
+    np.testing.assert_allclose(J @ P15(s) @ J.T, doubt, rtol=1e-6, atol=1e-9)
+    rest = np.delete(J @ P15(s), np.r_[0:3], axis=1)
+    scale = DVL_STD * np.sqrt(np.diag(P15(s))[3:])
     assert np.abs(rest / scale).max() < (1e-9 if invariant else 1e-2)
-    assert np.linalg.eigvalsh(s["P"] / np.sqrt(np.outer(np.diag(s["P"]), np.diag(s["P"]))))[0] > 0.0
+    assert np.linalg.eigvalsh(P15(s) / np.sqrt(np.outer(np.diag(P15(s)), np.diag(P15(s)))))[0] > 0.0
 
 
 def test_a_wrong_restart_is_left_again() -> None:
@@ -232,7 +238,7 @@ def test_a_wrong_restart_is_left_again() -> None:
     m = mission()
     result = fly(parameters(), m, with_nonsense(m, 10))
     assert result.counts["restarts"] == 1
-    assert np.isfinite(result.states["P"]).all()
+    assert np.isfinite(P15(result.states)).all()
     good = [u.report.accepted for u in result.updates[-20:]]
     assert good == [True] * 20
     assert np.abs(body_velocity_error(result, m)[-1]).max() < 5 * DVL_STD
@@ -287,10 +293,10 @@ def test_trust_is_the_time_of_accepted_measurements_less_twice_that_of_outages(o
     # The measurement behind the outage is outage + 1 s after the one before it.
     after = 30 if outage == 0 else max(29 - 2 * (outage + 1), 0)
     assert result.counts["restarts"] == 0
-    assert result.states["trusted_for"][k] == after * NS
+    assert result.states["gate"]["dvl"]["trusted_for"][k] == after * NS
     # The most is what the parameter says.
     bounded = fly(parameters(max_rejection_time=10.0), m, m.v_d)
-    assert bounded.states["trusted_for"].max() == 10 * NS
+    assert bounded.states["gate"]["dvl"]["trusted_for"].max() == 10 * NS
 
 
 def test_what_an_outage_may_have_hidden_is_refused_for_five_seconds_at_most() -> None:
@@ -324,11 +330,11 @@ def test_a_mean_nis_that_is_too_large_takes_the_trust_away() -> None:
     """An honest filter keeps it; one whose R is eight times too small in variance has none."""
     m = mission(duration=120.0)
     settings = parameters(max_rejection_time=60.0, probability=1.0 - 1e-9)
-    honest = fly(settings, m, m.v_d).states["trusted_for"]
+    honest = fly(settings, m, m.v_d).states["gate"]["dvl"]["trusted_for"]
     assert (honest[6500:] == 60 * NS).all()
     sure = fly(settings, m, m.v_d, R=np.eye(3) * DVL_STD**2 / 8.0)
-    assert (sure.states["trusted_for"][3000:] < 30 * NS).all()
-    assert sure.states["trusted_for"][3000:].min() == 0
+    assert (sure.states["gate"]["dvl"]["trusted_for"][3000:] < 30 * NS).all()
+    assert sure.states["gate"]["dvl"]["trusted_for"][3000:].min() == 0
     nis = [u.report.nis for u in sure.updates]
     assert np.mean(nis) > 7.0
 
@@ -351,8 +357,10 @@ def test_drift_ends_the_patience_and_a_constant_error_does_not() -> None:
 
 def in_sigmas(result: FoldResult, m: Mission) -> np.ndarray:
     """(N, 3) errors of the body velocity at all stamps, in sigmas."""
-    J = body_velocity_jacobian(result.states["C_n_b"], result.states["v_n"], invariant=True, n=15)
-    variance = np.einsum("kij,kjl,kil->ki", J, result.states["P"], J)
+    J = body_velocity_jacobian(
+        result.states["nav"]["C_n_b"], result.states["nav"]["v_n"], invariant=True, n=15
+    )
+    variance = np.einsum("kij,kjl,kil->ki", J, P15(result.states), J)
     return body_velocity_error(result, m) / np.sqrt(variance)
 
 
@@ -428,8 +436,7 @@ def test_one_outlier_after_an_outage_restarts_nothing() -> None:
 
 
 def without_memory(result: FoldResult) -> list[bytes]:
-    names = [n for n in result.states.dtype.names or () if n != "v_d"]
-    return [result.states[n].tobytes() for n in names]
+    return [v.tobytes() for name, v in fields(result.states) if name != "gate.dvl.reading"]
 
 
 @pytest.mark.parametrize("fault", ["zeros", "negative zeros", "repeats"])
@@ -460,7 +467,7 @@ def test_two_publishers_of_one_dvl_count_once() -> None:
     result = fly(parameters(), twice, twice.v_d)
     assert [u.report.reason for u in result.updates] == (["", "repeated"] * len(m.v_d))[:-1]
     once = fly(parameters(), m, m.v_d)
-    variances = [np.diagonal(each.states["P"], axis1=1, axis2=2) for each in (result, once)]
+    variances = [np.diagonal(P15(each.states), axis1=1, axis2=2) for each in (result, once)]
     np.testing.assert_allclose(*variances, rtol=1e-6)
 
 
@@ -485,11 +492,12 @@ def test_numbers_beyond_all_numbers_leave_the_state_alone(enabled: bool) -> None
     before = state.tobytes()
     for v_d, reason in ((1e200, "not_finite"), (1e-3, "bad_covariance")):
         R = np.eye(3) * (1.0 if reason == "not_finite" else -1.0)
-        state["v_d"] = np.nan
-        dvl = Dvl(int(state[0]["time_ns"]), np.full(3, v_d), R)
+        state["gate"]["dvl"]["reading"] = np.nan
+        dvl = Dvl(int(state[0]["nav"]["time_ns"]), np.full(3, v_d), R)
         report = filter_.update(state, dvl, np.zeros(3), 1)
         assert (report.accepted, report.reason) == (False, reason)
-    state["v_d"] = fly(settings, m, m.v_d).states[-1]["v_d"]
+    last = fly(settings, m, m.v_d).states[-1]
+    state["gate"]["dvl"]["reading"] = last["gate"]["dvl"]["reading"]
     assert state.tobytes() == before
 
 
@@ -509,8 +517,8 @@ def test_an_outage_is_covered_and_left_smoothly(outage: float) -> None:
         back = int(np.searchsorted(m.stamps_ns, round((31.0 + outage) * 1e9)))
         error = body_velocity_error(result, m)
         s = result.states[back - 1]
-        J = body_velocity_jacobian(s["C_n_b"], s["v_n"], invariant=True, n=15)
-        P = J @ s["P"] @ J.T
+        J = body_velocity_jacobian(s["nav"]["C_n_b"], s["nav"]["v_n"], invariant=True, n=15)
+        P = J @ P15(s) @ J.T
         nees.append(error[back - 1] @ np.linalg.solve(P, error[back - 1]))
         worst.append(np.abs(in_sigmas(result, m)).max())
         assert np.sqrt(np.trace(P)) > 0.5 * DVL_STD  # the filter knows that it has drifted
@@ -532,4 +540,4 @@ def test_a_covariance_without_an_inverse_can_be_used() -> None:
     v_d[12] += 10.0
     result = fly(parameters(), m, v_d, R=np.diag([DVL_STD**2, 0.0, DVL_STD**2]))
     assert [k for k, u in enumerate(result.updates) if not u.report.accepted] == [12]
-    assert np.isfinite(result.states["P"]).all()
+    assert np.isfinite(P15(result.states)).all()

@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from records import P15
 
 from insdvl.navigation.error_state import body_velocity_jacobian
-from insdvl.navigation.events import Dvl, Event, Imu, Initial
+from insdvl.navigation.events import Event, Imu, Initial
 from insdvl.navigation.geometry.frames import rotation_from_rpy
+from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.odometry import odometry
 from insdvl.navigation.parameters import (
     DvlParameters,
@@ -22,7 +24,9 @@ from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.mission import ImuModel, Mission, simulate
 from insdvl.simulation.noise import constant
 from insdvl.simulation.trajectories import AUV
-from insdvl.timeline.fold import Fold, FoldResult, run
+from insdvl.timeline.fold import Fold
+from insdvl.timeline.output import FoldResult
+from insdvl.timeline.recorded import fold_arrays
 
 SEED = 173_205
 STEP = 10_000_000
@@ -58,7 +62,7 @@ def fold(
     z: np.ndarray, events: list[Event] | None = None, settings: FilterParameters = SETTINGS
 ) -> FoldResult:
     stamps = STEP * np.arange(1, len(z) + 1)
-    return run(
+    return fold_arrays(
         settings,
         stamps,
         np.ascontiguousarray(z[:, :3]),
@@ -70,7 +74,7 @@ def fold(
 def added(z: np.ndarray, k: int, settings: FilterParameters = SETTINGS) -> np.ndarray:
     """(6,) variances of velocity and attitude that the doubt has added until sample k."""
     trusting = replace(settings, imu=ImuParameters(mount=settings.imu.mount, frozen_samples=0))
-    P = [fold(z, settings=each).states[k]["P"] for each in (settings, trusting)]
+    P = [P15(fold(z, settings=each).states[k]) for each in (settings, trusting)]
     return np.diag(P[0] - P[1])[:6]
 
 
@@ -83,7 +87,7 @@ def test_a_reading_at_the_end_of_the_range_is_saturated(channel: int, sign: floa
     z = readings(60)
     limit = sign * (20.0 if channel < 3 else 2.0)
     z[20:23, channel] = limit * np.array([1.0, 1.5, 0.999_999])
-    assert fold(z).states["saturated"][[19, 20, 21, 22, 59]].tolist() == [0, 1, 2, 2, 2]
+    assert fold(z).states["counters"]["saturated"][[19, 20, 21, 22, 59]].tolist() == [0, 1, 2, 2, 2]
     undeclared = replace(SETTINGS, imu=ImuParameters())
     assert fold(z, settings=undeclared).counts["saturated"] == 0
 
@@ -92,7 +96,7 @@ def test_a_reading_at_the_end_of_the_range_is_saturated(channel: int, sign: floa
 def test_equal_readings_in_a_row_are_frozen(channel: int) -> None:
     z = readings(200)
     z[100 : 100 + FROZEN + 9, channel] = z[100, channel]
-    frozen = fold(z).states["frozen"]
+    frozen = fold(z).states["counters"]["frozen"]
     first = 100 + FROZEN - 1
     assert frozen[[first - 1, first, first + 9, 199]].tolist() == [0, 1, 10, 10]
     assert fold(z[:, ::-1].copy() * 0.01).counts["frozen"] == 10  # whatever the value is
@@ -113,7 +117,7 @@ def test_a_gap_does_not_thaw() -> None:
     stamps = STEP * np.arange(1, 201)
     kept = np.r_[0:60, 120:200]
     f, w = (np.ascontiguousarray(z[kept][:, part]) for part in (slice(0, 3), slice(3, 6)))
-    result = run(SETTINGS, stamps[kept], f, w, [])
+    result = fold_arrays(SETTINGS, stamps[kept], f, w, [])
     assert result.counts["gaps"] == 1
     assert result.counts["frozen"] == 40 + 40 - FROZEN + 1
 
@@ -158,7 +162,7 @@ def test_the_axis_is_that_of_the_imu() -> None:
     z[:, :3], z[:, 3:] = z[:, :3] @ C_b_i, z[:, 3:] @ C_b_i
     z[50:, 1] = z[50, 1]
     trusting = replace(settings, imu=ImuParameters(mount=mount, frozen_samples=0))
-    P = [fold(z, settings=each).states[-1]["P"][:3, :3] for each in (settings, trusting)]
+    P = [fold(z, settings=each).states[-1]["nav"]["P"][:3, :3] for each in (settings, trusting)]
     axis = C_b_i[:, 1]
     expected = np.outer(axis, axis) * (SIGMA_F * 0.99) ** 2
     np.testing.assert_allclose(P[0] - P[1], expected, rtol=1e-3, atol=1e-5)
@@ -173,7 +177,7 @@ def test_cuts_do_not_change_what_is_added() -> None:
         for k in range(60, 140, 3)
     ]
     whole, cut = fold(z).states, fold(z, events).states
-    np.testing.assert_allclose(cut["P"][:, 5, 5], whole["P"][:, 5, 5], rtol=1e-6)
+    np.testing.assert_allclose(cut["nav"]["P"][:, 5, 5], whole["nav"]["P"][:, 5, 5], rtol=1e-6)
 
 
 def test_an_accepted_velocity_makes_the_specific_force_begin_again() -> None:
@@ -182,7 +186,7 @@ def test_an_accepted_velocity_makes_the_specific_force_begin_again() -> None:
     z[50:, 0] = z[50, 0]
     noise = 0.02 * np.random.default_rng(SEED).standard_normal((6, 3))
     events: list[Event] = [Dvl(k * 100 * STEP, noise[k]) for k in range(1, 6)]
-    P = fold(z, events).states["P"]
+    P = P15(fold(z, events).states)
     for ping in (200, 300, 400, 500):
         gained = P[ping + 98, 0, 0] - P[ping - 1, 0, 0]
         assert gained == pytest.approx((SIGMA_F * 0.99) ** 2, rel=0.05)
@@ -194,7 +198,7 @@ def test_an_accepted_velocity_tells_the_tilt_again_but_never_the_heading() -> No
     for channel, limit in ((3, 2 * SIGMA_W), (5, np.inf)):
         z = readings(600)
         z[50:, channel] = z[50, channel]
-        sigma = np.sqrt(fold(z, events).states["P"][-1, channel, channel])
+        sigma = np.sqrt(fold(z, events).states["nav"]["P"][-1, channel, channel])
         assert sigma < limit
         if channel == 5:
             assert sigma == pytest.approx(SIGMA_W * 5.49, rel=0.02)
@@ -206,9 +210,9 @@ def test_what_a_frozen_channel_last_said_is_not_used() -> None:
     z[50:, [0, 5]] = 3.0, 0.4
     s = fold(z).states
     noticed = 50 + FROZEN - 1
-    assert np.abs(np.diff(s["v_n"][noticed:], axis=0)[:, :2]).max() < 0.01 * 0.05
-    assert np.abs(s["w_nb_b"][noticed:, 2]).max() < 1e-12
-    assert s["w_nb_b"][noticed - 1, 2] == pytest.approx(0.4)
+    assert np.abs(np.diff(s["nav"]["v_n"][noticed:], axis=0)[:, :2]).max() < 0.01 * 0.05
+    assert np.abs(s["nav"]["w_nb_b"][noticed:, 2]).max() < 1e-12
+    assert s["nav"]["w_nb_b"][noticed - 1, 2] == pytest.approx(0.4)
 
 
 def test_a_doubtful_imu_cannot_refuse_the_dvl_for_long() -> None:
@@ -227,7 +231,7 @@ def test_a_told_state_makes_all_begin_again() -> None:
     start = Initial(
         300 * STEP, np.eye(3), np.zeros(3), np.zeros(3), "body", *(1e-12 * np.eye(3),) * 3
     )
-    P = fold(z, [start]).states[-1]["P"]
+    P = P15(fold(z, [start]).states[-1])
     assert P[0, 0] == pytest.approx(SIGMA_F**2, rel=0.3)
     assert P[4, 4] == pytest.approx(SIGMA_W**2, rel=0.02)
 
@@ -245,8 +249,8 @@ def test_the_turn_rate_of_a_frozen_gyroscope_is_not_known() -> None:
         variances.append(np.diag(out.twist_covariance)[3:])
         s = fold(z[:199]).states[-1]
         S.append(result.updates[0].report.S)
-        J = body_velocity_jacobian(s["C_n_b"], s["v_n"], invariant=True, n=15)
-        S[-1] = S[-1] - J @ result.states[198]["P"] @ J.T
+        J = body_velocity_jacobian(s["nav"]["C_n_b"], s["nav"]["v_n"], invariant=True, n=15)
+        S[-1] = S[-1] - J @ P15(result.states[198]) @ J.T
     difference = variances[1] - variances[0]
     assert difference[1] == pytest.approx(SIGMA_W**2, rel=1e-6)
     assert difference[[0, 2]] == pytest.approx(0.0, abs=1e-12)
@@ -265,11 +269,11 @@ def test_the_heading_is_covered_in_a_turn_beyond_the_range_and_when_stuck_there(
     z = readings(300)
     z[50:250, 5] = RANGE_W
     s = fold(z, settings=settings).states[-1]
-    heading = np.arctan2(s["C_n_b"][1, 0], s["C_n_b"][0, 0])
+    heading = np.arctan2(s["nav"]["C_n_b"][1, 0], s["nav"]["C_n_b"][0, 0])
     for truth in (4.0 / 3.0 * RANGE_W * 2.0, 0.0):
         error = (heading - truth + np.pi) % (2.0 * np.pi) - np.pi
-        assert abs(error) < 2.0 * np.sqrt(s["P"][5, 5])
-    assert np.sqrt(s["P"][5, 5]) == pytest.approx(RANGE_W * 2.0, rel=0.01)
+        assert abs(error) < 2.0 * np.sqrt(s["nav"]["P"][5, 5])
+    assert np.sqrt(s["nav"]["P"][5, 5]) == pytest.approx(RANGE_W * 2.0, rel=0.01)
 
 
 # ------------------------------------------------------------------ on a mission
@@ -312,15 +316,15 @@ def test_the_velocity_is_covered_while_a_channel_is_frozen(rate: float, channel:
         Initial(0, C, m.initial.p_n[0], C.T @ m.initial.v_n[0], "body"),
         *(Dvl(t, v) for t, v in zip(m.dvl_stamps_ns.tolist(), m.v_d, strict=True)),
     ]
-    result = run(settings, m.stamps_ns, m.f_b, m.w_ib_b, events)
+    result = fold_arrays(settings, m.stamps_ns, m.f_b, m.w_ib_b, events)
     s = result.states
     assert result.counts["frozen"] == round(40 * rate) - 99
-    J = body_velocity_jacobian(s["C_n_b"], s["v_n"], invariant=True, n=15)
-    sigma = np.sqrt(np.einsum("kij,kjl,kil->ki", J, s["P"], J))
-    v_b = np.einsum("kji,kj->ki", s["C_n_b"], s["v_n"])
+    J = body_velocity_jacobian(s["nav"]["C_n_b"], s["nav"]["v_n"], invariant=True, n=15)
+    sigma = np.sqrt(np.einsum("kij,kjl,kil->ki", J, P15(s), J))
+    v_b = np.einsum("kji,kj->ki", s["nav"]["C_n_b"], s["nav"]["v_n"])
     error = np.einsum("kji,kj->ki", m.truth.C_n_b, m.truth.v_n) - v_b
     assert np.abs(error / sigma).max() < 5.0
-    assert np.linalg.eigvalsh(s["P"][-1])[0] > 0.0
+    assert np.linalg.eigvalsh(s["nav"]["P"][-1, :15, :15])[0] > 0.0
     # It comes back: as good as before, ten seconds after the channel works again.
     assert np.abs(error[round(90 * rate) :]).max() < 0.25
 

@@ -11,8 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from insdvl.navigation.events import NS, Dvl, Event, Initial, ProcessNoise
+from insdvl.navigation.events import NS, Event, Initial, ProcessNoise
 from insdvl.navigation.geometry.frames import rotation_from_rpy
+from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.odometry import Odometry
 from insdvl.navigation.parameters import (
     DvlParameters,
@@ -50,12 +51,14 @@ def is_covariance(P: Array) -> bool:
 def check(fold: Fold) -> None:
     """The invariants, on all states that are kept and all that is published."""
     s = fold.states
-    s = s[s["initialised"] == 1]
-    for name in ("v_n", "p_n", "b_f", "b_w", "b_d", "w_nb_b", "P", "Q_f", "Q_w"):
-        assert np.isfinite(s[name]).all(), name
-    C = s["C_n_b"]
+    s = s[s["nav"]["initialised"] == 1]
+    for name in ("v_n", "p_n", "b_f", "b_w", "optional", "w_nb_b", "P"):
+        assert np.isfinite(s["nav"][name]).all(), name
+    for name in ("Q_f", "Q_w"):
+        assert np.isfinite(s["noise"][name]).all(), name
+    C = s["nav"]["C_n_b"]
     assert np.abs(np.swapaxes(C, 1, 2) @ C - np.eye(3)).max(initial=0.0) < EPS_C
-    assert is_covariance(s["P"])
+    assert is_covariance(fold.filter.covariance(s))
     stamps = []
     for output in fold.take():
         stamps.append(output.stamp_ns)
@@ -106,7 +109,7 @@ class Stream:
         fold = Fold(p)
         for event in events:
             fold.add(event)
-        fold.add_samples(stamps, f, w)
+        fold.add_recording(stamps, f, w, [])
         return fold
 
 

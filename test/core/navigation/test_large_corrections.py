@@ -2,13 +2,15 @@
 
 import numpy as np
 import pytest
+from records import P15
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from insdvl.navigation.error_state import ATTITUDE, VELOCITY, body_velocity_jacobian
-from insdvl.navigation.events import Dvl, Initial
+from insdvl.navigation.events import Initial
 from insdvl.navigation.filter import Filter
 from insdvl.navigation.geometry.frames import rotation_from_rpy
+from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters, GateParameters
 
 DVL_STD = 0.1  # m/s
@@ -17,12 +19,12 @@ RUNS = 200
 
 def drifted(filter_: Filter, P: np.ndarray) -> np.ndarray:
     """A state that has had no DVL for long; its tilt has turned gravity into velocity."""
-    state = filter_.start()
+    state = filter_.empty()
     initial = Initial(
         0, rotation_from_rpy(np.array([0.1, -0.2, 2.0])), np.zeros(3), np.array([1.5, 0, 0]), "body"
     )
     filter_.initialise(state, initial, 0, np.zeros(3))
-    state[0]["P"] = P
+    state[0]["nav"]["P"][:15, :15] = P
     return state
 
 
@@ -51,15 +53,15 @@ def test_the_body_velocity_is_as_good_as_its_covariance(tilt: float) -> None:
         s = state[0]
         error = L @ rng.standard_normal(filter_.n)
         turn = Rotation.from_rotvec(error[ATTITUDE]).as_matrix()
-        C = turn @ s["C_n_b"]
-        v_n = turn @ s["v_n"] + error[VELOCITY]
+        C = turn @ s["nav"]["C_n_b"]
+        v_n = turn @ s["nav"]["v_n"] + error[VELOCITY]
         v_b = C.T @ v_n
-        w = s["b_w"].copy()
+        w = s["nav"]["b_w"].copy()
         report = filter_.update(state, Dvl(1, v_b + DVL_STD * rng.standard_normal(3)), w, 25)
         assert report.accepted
-        J = body_velocity_jacobian(s["C_n_b"], s["v_n"], invariant=True, n=filter_.n)
-        e = v_b - s["C_n_b"].T @ s["v_n"]
-        total += e @ np.linalg.solve(J @ s["P"] @ J.T, e)
+        J = body_velocity_jacobian(s["nav"]["C_n_b"], s["nav"]["v_n"], invariant=True, n=filter_.n)
+        e = v_b - s["nav"]["C_n_b"].T @ s["nav"]["v_n"]
+        total += e @ np.linalg.solve(J @ P15(s) @ J.T, e)
         # The next one, of the same velocity, is expected.
         again += filter_.update(state, Dvl(2, v_b + DVL_STD * rng.standard_normal(3)), w, 25).nis
     low, high = chi2.ppf([0.0005, 0.9995], 3 * RUNS)

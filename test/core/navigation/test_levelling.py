@@ -46,7 +46,7 @@ def first_output(fold: Fold) -> int:
 
 def tilt(fold: Fold) -> np.ndarray:
     """(2,) error of the attitude about north and east [rad]."""
-    E = fold.latest["C_n_b"] @ C_N_B.T
+    E = fold.latest["nav"]["C_n_b"] @ C_N_B.T
     return np.array([E[2, 1] - E[1, 2], E[0, 2] - E[2, 0]]) / 2
 
 
@@ -73,7 +73,7 @@ def test_what_is_not_gravity_is_not_levelled(factor: float) -> None:
 
 def test_nothing_but_zeros_never_starts() -> None:
     fold = started(np.zeros((300, 3)), STAMPS)
-    assert not fold.latest or not fold.latest["initialised"]
+    assert not fold.latest or not fold.latest["nav"]["initialised"]
     assert fold.counts["not_level"] == 2
 
 
@@ -81,7 +81,7 @@ def test_a_declared_bias_is_no_tilt() -> None:
     bias = np.array([0.1, -0.05, 0.02])
     fold = started(np.tile(AT_REST + bias, (300, 1)), STAMPS, tuple(bias.tolist()))
     np.testing.assert_allclose(tilt(fold), 0.0, atol=1e-6)
-    np.testing.assert_allclose(fold.latest["v_n"], 0.0, atol=1e-3)
+    np.testing.assert_allclose(fold.latest["nav"]["v_n"], 0.0, atol=1e-3)
 
 
 def test_levelling_begins_anew_behind_a_gap() -> None:

@@ -7,6 +7,7 @@ gyroscope finds the heading; how fast is computed here a second time, by batch l
 
 import numpy as np
 import pytest
+from records import P15
 from reset import apply_it_after_every_update, reset_jacobian
 from scipy.linalg import block_diag, expm, solveh_banded
 
@@ -17,7 +18,8 @@ from insdvl.navigation.error_state import (
     VELOCITY,
     cross_matrix,
 )
-from insdvl.navigation.events import Dvl, Initial
+from insdvl.navigation.events import Initial
+from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import (
     DvlParameters,
     FilterParameters,
@@ -31,7 +33,8 @@ from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.mission import ImuModel, Mission, simulate
 from insdvl.simulation.noise import constant
 from insdvl.simulation.trajectories import Channel, Ramp, Trajectory, Wave
-from insdvl.timeline.fold import FoldResult, run
+from insdvl.timeline.output import FoldResult
+from insdvl.timeline.recorded import fold_arrays
 
 SEED = 14_142
 PERFECT = ImuModel(
@@ -64,11 +67,11 @@ def fly(
     C = m.initial.C_n_b[0]
     start = Initial(0, C, m.initial.p_n[0], C.T @ m.initial.v_n[0], "body")
     pings = [Dvl(t, v) for t, v in zip(m.dvl_stamps_ns.tolist(), m.v_d, strict=True)]
-    return run(settings, m.stamps_ns, m.f_b, m.w_ib_b, [start, *pings])
+    return fold_arrays(settings, m.stamps_ns, m.f_b, m.w_ib_b, [start, *pings])
 
 
 def heading_variance(result: FoldResult) -> np.ndarray:
-    return result.states["P"][:, 5, 5]
+    return result.states["nav"]["P"][:, 5, 5]
 
 
 # ------------------------------------------------------------------ the reset
@@ -108,7 +111,7 @@ def test_the_covariance_after_an_update_is_josephs_form_and_nothing_else(error_s
     k = int(np.searchsorted(m.stamps_ns, m.dvl_stamps_ns[0]))
     last = slice(0, k + 1)
     C = m.initial.C_n_b[0]
-    before = run(
+    before = fold_arrays(
         result.filter.parameters,
         m.stamps_ns[last],
         m.f_b[last],
@@ -117,7 +120,7 @@ def test_the_covariance_after_an_update_is_josephs_form_and_nothing_else(error_s
     ).states[k]
     after, report = result.states[k], result.updates[0].report
 
-    C_b_n, v_n, lat = before["C_n_b"].T, before["v_n"], np.radians(32.0)
+    C_b_n, v_n, lat = before["nav"]["C_n_b"].T, before["nav"]["v_n"], np.radians(32.0)
     w_ie = 7.292115e-5 * np.array([np.cos(lat), 0.0, -np.sin(lat)])
     R_e = 6.378e6
     w_en = np.array([v_n[1], -v_n[0], -v_n[1] * np.tan(lat)]) / R_e
@@ -129,7 +132,7 @@ def test_the_covariance_after_an_update_is_josephs_form_and_nothing_else(error_s
         H[:, ATTITUDE] += C_b_n @ cross_matrix(v_n)
     H[:, GYROSCOPE_BIAS] = l_x
     R = 0.01 * np.eye(3) + l_x @ l_x.T * 0.001 / 25
-    P = before["P"]
+    P = P15(before)
     S = H @ P @ H.T + R
     K = P @ H.T @ np.linalg.inv(S)
     dx = K @ report.innovation
@@ -137,7 +140,7 @@ def test_the_covariance_after_an_update_is_josephs_form_and_nothing_else(error_s
 
     scale = np.sqrt(np.outer(np.diag(joseph), np.diag(joseph)))
     np.testing.assert_allclose(report.S, S, rtol=1e-6, atol=1e-9)
-    assert np.abs((after["P"] - joseph) / scale).max() < 1e-7
+    assert np.abs((P15(after) - joseph) / scale).max() < 1e-7
     G = reset_jacobian(dx, invariant=invariant)
     assert np.abs((G @ joseph @ G.T - joseph) / scale).max() > 1e-4  # it could have been seen
 
@@ -313,7 +316,7 @@ def test_on_a_level_straight_run_tilt_and_accelerometer_bias_stay_one(error_stat
             gyroscope_bias_std=1e-8,
         ),
     )
-    P = result.states["P"][:, ACCELEROMETER_BIAS, ACCELEROMETER_BIAS]
+    P = result.states["nav"]["P"][:, ACCELEROMETER_BIAS, ACCELEROMETER_BIAS]
     floor = 1.0 / (1.0 / std_f**2 + 1.0 / (g * std_tilt) ** 2)
     horizontal = P[:, [0, 1], [0, 1]]
     assert horizontal.min() >= floor * (1.0 - 2e-3)

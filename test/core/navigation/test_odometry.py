@@ -25,7 +25,7 @@ from insdvl.navigation.parameters import (
     ProcessNoiseParameters,
 )
 from insdvl.simulation.trajectories import Channel, Ramp, Trajectory
-from insdvl.timeline.fold import run
+from insdvl.timeline.recorded import fold_arrays
 
 ARM, MOUNT = (0.7, -0.3, 0.5), (0.2, -0.1, 1.3)
 
@@ -68,18 +68,18 @@ def nominal_and_covariance():
 
 def states_with(filter_, nominal, P):
     """The record of that state, with P of ordinary errors in the model's coordinates."""
-    states = filter_.start()
+    states = filter_.empty()
     for name, value in nominal.items():
-        states[0][name] = value
+        states[0]["nav"][name] = value
     T = from_ordinary_errors(
         nominal["C_n_b"],
         nominal["v_n"],
-        invariant=filter_.invariant,
+        invariant=filter_.vehicle.invariant,
         velocity_frame="nav",
         n=filter_.n,
     )
-    states[0]["P"] = T @ P @ T.T
-    states[0]["time_ns"], states[0]["initialised"] = 123, 1
+    states[0]["nav"]["P"][:15, :15] = T @ P @ T.T
+    states[0]["nav"]["time_ns"], states[0]["nav"]["initialised"] = 123, 1
     return states
 
 
@@ -248,7 +248,7 @@ def navigated(arm, mount_rpy, t, dt):
         ),
         origin=OriginParameters(latitude_deg=32.0, height=TURNING.h_0),
     )
-    result = run(parameters, np.rint(t * NS).astype(np.int64), f_i, w_i, [])
+    result = fold_arrays(parameters, np.rint(t * NS).astype(np.int64), f_i, w_i, [])
     return [odometry(result.filter, result.states, k) for k in range(0, len(t), 50)]
 
 

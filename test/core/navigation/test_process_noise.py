@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from records import P15, density
 from scipy.spatial.transform import Rotation
 
 from insdvl.navigation.error_state import (
@@ -11,8 +12,9 @@ from insdvl.navigation.error_state import (
     POSITION,
     VELOCITY,
 )
-from insdvl.navigation.events import Dvl, Event, Imu, Initial, ProcessNoise
+from insdvl.navigation.events import Event, Imu, Initial, ProcessNoise
 from insdvl.navigation.geometry.frames import rotation_from_rpy
+from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import (
     FilterParameters,
     GateParameters,
@@ -20,9 +22,11 @@ from insdvl.navigation.parameters import (
     InitialParameters,
     ProcessNoiseParameters,
 )
-from insdvl.navigation.process_noise import bounded
+from insdvl.navigation.process_noise.received import bounded
 from insdvl.parameters.declaration import ParameterError
-from insdvl.timeline.fold import Fold, FoldResult, run
+from insdvl.timeline.fold import Fold
+from insdvl.timeline.output import FoldResult
+from insdvl.timeline.recorded import fold_arrays
 
 RATE = 100.0
 NS_STEP = 10_000_000
@@ -67,7 +71,9 @@ def at_rest(
 ) -> FoldResult:
     """A vehicle at rest; the filter is certain of its state at sample 0."""
     stamps = np.rint(np.arange(samples) * 1e9 / rate).astype(np.int64)
-    return run(settings, stamps, np.tile(AT_REST, (samples, 1)), np.zeros((samples, 3)), events)
+    return fold_arrays(
+        settings, stamps, np.tile(AT_REST, (samples, 1)), np.zeros((samples, 3)), events
+    )
 
 
 # ------------------------------------------------------------------ conventions
@@ -83,7 +89,7 @@ def test_a_step_adds_the_density_times_its_length(convention: str, rate: float) 
     for block, Q in ((VELOCITY, Q_F), (ATTITUDE, Q_W)):
         expected = C_B_I @ np.diag(Q) @ C_B_I.T * density / rate
         np.testing.assert_allclose(
-            s["P"][block, block], expected, rtol=1e-3, atol=1e-3 * expected.max()
+            s["nav"]["P"][block, block], expected, rtol=1e-3, atol=1e-3 * expected.max()
         )
 
 
@@ -91,7 +97,7 @@ def test_a_step_adds_the_density_times_its_length(convention: str, rate: float) 
 def test_twice_the_samples_at_the_same_density_leave_the_covariance(source: str) -> None:
     settings = parameters(source=source)
     P = [
-        at_rest(settings, 1 + round(2.0 * rate), [], rate).states[-1]["P"]
+        P15(at_rest(settings, 1 + round(2.0 * rate), [], rate).states[-1])
         for rate in (100.0, 200.0)
     ]
     scale = np.sqrt(np.outer(np.diag(P[0]), np.diag(P[0])))[:6, :6]
@@ -103,8 +109,8 @@ def test_the_bias_walks_are_densities() -> None:
     settings = parameters(accelerometer_bias_walk=1e-6, gyroscope_bias_walk=1e-9)
     s = at_rest(settings, 301, []).states[-1]
     P_f, P_w = (
-        s["P"][ACCELEROMETER_BIAS, ACCELEROMETER_BIAS],
-        s["P"][GYROSCOPE_BIAS, GYROSCOPE_BIAS],
+        s["nav"]["P"][ACCELEROMETER_BIAS, ACCELEROMETER_BIAS],
+        s["nav"]["P"][GYROSCOPE_BIAS, GYROSCOPE_BIAS],
     )
     np.testing.assert_allclose(P_f, 3e-6 * np.eye(3), rtol=1e-9, atol=1e-20)
     np.testing.assert_allclose(P_w, 3e-9 * np.eye(3), rtol=1e-9, atol=1e-20)
@@ -125,11 +131,11 @@ def test_a_told_q_is_in_the_axes_of_the_imu() -> None:
     A = np.random.default_rng(5).standard_normal((3, 3))
     Q_f, Q_w = A @ A.T, 0.1 * A.T @ A
     s = told(parameters(source="external"), ProcessNoise(5 * NS_STEP, Q_f, Q_w)).states
-    np.testing.assert_allclose(s["Q_f"][4], rotated(np.diag(Q_F)), rtol=1e-12)
+    np.testing.assert_allclose(s["noise"]["Q_f"][4], rotated(np.diag(Q_F)), rtol=1e-12)
     for k in (5, 10):
-        np.testing.assert_allclose(s["Q_f"][k], rotated(Q_f), rtol=1e-12)
-        np.testing.assert_allclose(s["Q_w"][k], rotated(Q_w), rtol=1e-12)
-    assert not s["floors"].any()
+        np.testing.assert_allclose(s["noise"]["Q_f"][k], rotated(Q_f), rtol=1e-12)
+        np.testing.assert_allclose(s["noise"]["Q_w"][k], rotated(Q_w), rtol=1e-12)
+    assert not s["counters"]["floors"].any()
 
 
 @pytest.mark.parametrize("unknown", ["f", "w", "both"])
@@ -145,8 +151,8 @@ def test_an_unknown_part_is_nominal(unknown: str) -> None:
     last = s.states[-1]
     f = rotated(np.diag(Q_F)) if unknown in ("f", "both") else 3.0 * Q
     w = rotated(np.diag(Q_W)) if unknown in ("w", "both") else 3.0 * Q
-    np.testing.assert_allclose(last["Q_f"], f, rtol=1e-12, atol=1e-15)
-    np.testing.assert_allclose(last["Q_w"], w, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(last["noise"]["Q_f"], f, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(last["noise"]["Q_w"], w, rtol=1e-12, atol=1e-15)
 
 
 def test_the_floor_holds_each_axis_and_is_counted() -> None:
@@ -155,12 +161,16 @@ def test_the_floor_holds_each_axis_and_is_counted() -> None:
     low_f = ProcessNoise(4 * NS_STEP, np.diag([1e-9, 1e-2, 0.0]), np.diag([1e-6, 1.0, 1.0]))
     low_w = ProcessNoise(6 * NS_STEP, np.diag([1e-3, 1e-2, 1.0]), np.diag([1.0, 1e-9, 1.0]))
     result = told(settings, fine, low_f, low_w)
-    assert result.states["floors"].tolist() == [0, 0, 0, 0, 1, 1, 2, 2, 2, 2, 2]
+    assert result.states["counters"]["floors"].tolist() == [0, 0, 0, 0, 1, 1, 2, 2, 2, 2, 2]
     assert result.counts["floors"] == 2
     s = result.states
-    np.testing.assert_allclose(s[3]["Q_f"], rotated(np.diag([1e-3, 1e-2, 1.0])), rtol=1e-12)
-    np.testing.assert_allclose(s[4]["Q_f"], rotated(np.diag([1e-3, 1e-2, 1e-3])), rtol=1e-12)
-    np.testing.assert_allclose(s[6]["Q_w"], rotated(np.diag([1.0, 1e-6, 1.0])), rtol=1e-12)
+    np.testing.assert_allclose(
+        s[3]["noise"]["Q_f"], rotated(np.diag([1e-3, 1e-2, 1.0])), rtol=1e-12
+    )
+    np.testing.assert_allclose(
+        s[4]["noise"]["Q_f"], rotated(np.diag([1e-3, 1e-2, 1e-3])), rtol=1e-12
+    )
+    np.testing.assert_allclose(s[6]["noise"]["Q_w"], rotated(np.diag([1.0, 1e-6, 1.0])), rtol=1e-12)
 
 
 def test_the_floor_holds_every_direction_of_a_rotated_q() -> None:
@@ -187,11 +197,13 @@ def test_the_ceiling_holds_every_direction_and_is_counted() -> None:
     high_f = ProcessNoise(4 * NS_STEP, np.diag([1e9, 1e-2, 1e-3]), 1e-2 * np.eye(3))
     high_w = ProcessNoise(6 * NS_STEP, 1e-2 * np.eye(3), 1e9 * np.eye(3))
     result = told(settings, fine, high_f, high_w)
-    assert result.states["ceilings"].tolist() == [0, 0, 0, 0, 1, 1, 2, 2, 2, 2, 2]
+    assert result.states["counters"]["ceilings"].tolist() == [0, 0, 0, 0, 1, 1, 2, 2, 2, 2, 2]
     assert result.counts["floors"] == 0
     s = result.states
-    np.testing.assert_allclose(s[4]["Q_f"], rotated(np.diag([1e-1, 1e-2, 1e-3])), rtol=1e-9)
-    np.testing.assert_allclose(s[6]["Q_w"], 1e-2 * np.eye(3), rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(
+        s[4]["noise"]["Q_f"], rotated(np.diag([1e-1, 1e-2, 1e-3])), rtol=1e-9
+    )
+    np.testing.assert_allclose(s[6]["noise"]["Q_w"], 1e-2 * np.eye(3), rtol=1e-9, atol=1e-15)
 
 
 @pytest.mark.parametrize("sensor", ["accelerometer", "gyroscope"])
@@ -204,8 +216,8 @@ def test_a_zero_variance_never_stops_the_noise() -> None:
     """All zeros would be 'unknown' in a message; one that gets here is raised to the floor."""
     settings = parameters(source="external", accelerometer_floor=1e-4, gyroscope_floor=1e-7)
     s = told(settings, ProcessNoise(2 * NS_STEP, np.zeros((3, 3)), np.zeros((3, 3)))).states[-1]
-    np.testing.assert_allclose(s["Q_f"], 1e-4 * np.eye(3), rtol=1e-12, atol=1e-18)
-    np.testing.assert_allclose(s["Q_w"], 1e-7 * np.eye(3), rtol=1e-12, atol=1e-21)
+    np.testing.assert_allclose(s["noise"]["Q_f"], 1e-4 * np.eye(3), rtol=1e-12, atol=1e-18)
+    np.testing.assert_allclose(s["noise"]["Q_w"], 1e-7 * np.eye(3), rtol=1e-12, atol=1e-21)
 
 
 # ------------------------------------------------------------------ adaptive
@@ -228,8 +240,8 @@ def gain(result: FoldResult, k: int) -> np.ndarray:
     """K of the update at sample k, from the state after it: K = P_after H^T R^-1."""
     s = result.states[k]
     H = np.zeros((3, 15))
-    H[:, VELOCITY] = s["C_n_b"].T
-    return s["P"] @ H.T / 0.1**2
+    H[:, VELOCITY] = s["nav"]["C_n_b"].T
+    return P15(s) @ H.T / 0.1**2
 
 
 @pytest.mark.parametrize("form", ["floored", "literal"])
@@ -241,7 +253,7 @@ def test_the_estimate_is_k_c_kt_over_the_interval(form: str) -> None:
         C = sum(np.outer(v, v) for v in nu[ping - 2 : ping + 1]) / 3
         K = gain(result, k)
         expected = K @ C @ K.T / 0.5
-        Q_x = result.states[k + 20]["Q_x"]
+        Q_x = density(result.states[k + 20])
         np.testing.assert_allclose(Q_x, expected, rtol=0.02, atol=0.02 * np.abs(expected).max())
         assert np.linalg.matrix_rank(Q_x, tol=1e-9 * np.abs(Q_x).max()) <= 3
 
@@ -253,23 +265,25 @@ def test_nominal_until_the_window_is_full(form: str) -> None:
     nominal = with_pings(parameters())
     third = 150
     before = slice(0, third)
-    np.testing.assert_array_equal(result.states["P"][before], nominal.states["P"][before])
-    assert not result.states["Q_x"][before].any()
+    np.testing.assert_array_equal(
+        result.states["nav"]["P"][before, :15, :15], nominal.states["nav"]["P"][before, :15, :15]
+    )
+    assert not density(result.states)[before].any()
 
     s, s_next = result.states[third], result.states[third + 1]
     dt = 0.01
     Q_n = np.zeros((15, 15))
     Q_n[VELOCITY, VELOCITY] = rotated(np.diag(Q_F)) / RATE
     Q_n[ATTITUDE, ATTITUDE] = rotated(np.diag(Q_W)) / RATE
-    growth = s_next["P"] - s["P"]
-    Q_d = (s["Q_x"] + (Q_n if form == "floored" else 0.0)) * dt
+    growth = P15(s_next) - P15(s)
+    Q_d = (density(s) + (Q_n if form == "floored" else 0.0)) * dt
     Phi = np.eye(15)
     g = np.array([0.0, 0.0, 9.7946])
     Phi[VELOCITY, ATTITUDE] = np.cross(g, np.eye(3)).T * dt
-    Phi[VELOCITY, ACCELEROMETER_BIAS] = -s["C_n_b"] * dt
-    Phi[ATTITUDE, GYROSCOPE_BIAS] = -s["C_n_b"] * dt
+    Phi[VELOCITY, ACCELEROMETER_BIAS] = -s["nav"]["C_n_b"] * dt
+    Phi[ATTITUDE, GYROSCOPE_BIAS] = -s["nav"]["C_n_b"] * dt
     Phi[POSITION, VELOCITY] = np.eye(3) * dt
-    expected = Phi @ s["P"] @ Phi.T + Q_d - s["P"]
+    expected = Phi @ P15(s) @ Phi.T + Q_d - P15(s)
     np.testing.assert_allclose(
         growth[:6, :6], expected[:6, :6], rtol=1e-2, atol=1e-2 * np.abs(expected[:3, :3]).max()
     )
@@ -280,9 +294,9 @@ def test_the_floored_noise_of_a_step_does_not_depend_on_the_steps_before() -> No
     s = with_pings(adaptive("floored", bias_std=0.1)).states
     first = 50 * PINGS
     block = ACCELEROMETER_BIAS, ACCELEROMETER_BIAS  # grows by its part of Q_x, and by no other
-    step = 0.01 * s["Q_x"][first][block]
+    step = 0.01 * density(s)[first][block]
     assert np.count_nonzero(step) == 9
-    growth = np.diff(s["P"][(slice(first, first + 40), *block)], axis=0)
+    growth = np.diff(s["nav"]["P"][(slice(first, first + 40), *block)], axis=0)
     np.testing.assert_allclose(
         growth, np.broadcast_to(step, growth.shape), rtol=1e-6, atol=1e-6 * np.abs(step).max()
     )
@@ -296,7 +310,7 @@ def test_what_a_gap_adds_is_added_to_the_estimate(form: str) -> None:
     events = [Dvl(k * 50 * NS_STEP, 0.3 * rng.standard_normal(3)) for k in range(1, PINGS + 1)]
     stamps = [k for k in range(50 * PINGS + 60) if not 420 <= k < 440]
     rows = len(stamps)
-    result = run(
+    result = fold_arrays(
         settings,
         np.array(stamps) * NS_STEP,
         np.tile(AT_REST, (rows, 1)),
@@ -304,10 +318,10 @@ def test_what_a_gap_adds_is_added_to_the_estimate(form: str) -> None:
         events,
     )
     before, after = result.states[419], result.states[420]
-    assert after["gaps"] == before["gaps"] + 1
+    assert after["counters"]["gaps"] == before["counters"]["gaps"] + 1
     T = 0.21
-    growth = np.diag(after["P"] - before["P"])
-    estimated = T * np.diag(before["Q_x"])
+    growth = np.diag(P15(after) - P15(before))
+    estimated = T * np.diag(density(before))
     unseen = np.r_[np.full(3, (0.5 * T) ** 2), np.full(3, (0.05 * T) ** 2)]
     np.testing.assert_allclose((growth - estimated)[3:6], unseen[3:], rtol=0.05)
     assert ((growth - estimated)[:3] > 0.9 * unseen[:3]).all()
@@ -332,8 +346,8 @@ def test_a_restart_forgets_the_innovations(form: str) -> None:
     new = [Dvl(k0 * NS_STEP + k * 50 * NS_STEP, 0.1 * np.ones(3)) for k in (1, 2)]
     with_past = at_rest(settings, k0 + 160, [*old, start, *new]).states[k0:]
     fresh = at_rest(settings, k0 + 160, [start, *new]).states[k0:]
-    assert with_past["P"].tobytes() == fresh["P"].tobytes()
-    assert not with_past["Q_x"].any()
+    assert P15(with_past).tobytes() == P15(fresh).tobytes()
+    assert not density(with_past).any()
 
 
 def test_the_adaptive_filter_depends_on_stamps_alone() -> None:

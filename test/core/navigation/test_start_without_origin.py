@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from insdvl.navigation.events import Dvl, Imu, Initial, Origin
+from insdvl.navigation.events import Imu, Initial, Origin
+from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters, InitialParameters, OriginParameters
 from insdvl.timeline.fold import Fold
 

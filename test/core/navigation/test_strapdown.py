@@ -20,7 +20,7 @@ from insdvl.navigation.parameters import (
 )
 from insdvl.simulation.imu import ideal_imu
 from insdvl.simulation.trajectories import AUV, LOOP, STATIC, Channel, Ramp, Trajectory, Wave
-from insdvl.timeline.fold import run
+from insdvl.timeline.recorded import fold_arrays
 
 # Strong motion in every axis, faster than any vehicle here.
 VIGOROUS = Trajectory(
@@ -52,10 +52,14 @@ def filter_on(trajectory):
 
 def navigate(filter_, C_n_b, v_n, f_b, w_ib_b, dt, visit, chunk=1000):
     """Predict from p = 0 over the samples; ``visit(first, states)`` sees each chunk of states."""
-    state = filter_.start()
+    state = filter_.empty()
     s = state[0]
-    s["C_n_b"], s["v_n"], s["p_n"] = C_n_b, v_n, 0.0
-    s["P"], s["time_ns"], s["initialised"] = np.eye(filter_.n), 0, 1
+    s["nav"]["C_n_b"], s["nav"]["v_n"], s["nav"]["p_n"] = C_n_b, v_n, 0.0
+    s["nav"]["P"][..., :15, :15], s["nav"]["time_ns"], s["nav"]["initialised"] = (
+        np.eye(filter_.n),
+        0,
+        1,
+    )
     stamps_ns = np.rint(np.arange(1, len(f_b) + 1) * dt * NS).astype(np.int64)
     states = np.empty(chunk, state.dtype)
     for first in range(0, len(f_b), chunk):
@@ -87,9 +91,9 @@ def largest_errors(trajectory, dt):
     def visit(first, states):
         truth = trajectory.truth(t[first : first + len(states)])
         errors = (
-            np.linalg.norm(states["p_n"] - truth.p_n, axis=1),
-            np.linalg.norm(states["v_n"] - truth.v_n, axis=1),
-            attitude_errors(states["C_n_b"], truth.C_n_b),
+            np.linalg.norm(states["nav"]["p_n"] - truth.p_n, axis=1),
+            np.linalg.norm(states["nav"]["v_n"] - truth.v_n, axis=1),
+            attitude_errors(states["nav"]["C_n_b"], truth.C_n_b),
         )
         np.maximum(worst, [error.max() for error in errors], out=worst)
 
@@ -117,9 +121,9 @@ def test_static_hour_from_first_principles():
     filter_ = filter_on(dataclasses.replace(STATIC, h_0=0.0))
     navigate(filter_, C_n_b, np.zeros(3), f_b, w_ib_b, 0.01, visit)
     (s,) = last
-    assert abs(s["p_n"]).max() < 1e-3
-    assert abs(s["v_n"]).max() < 1e-6
-    np.testing.assert_allclose(s["C_n_b"], C_n_b, atol=1e-9)
+    assert abs(s["nav"]["p_n"]).max() < 1e-3
+    assert abs(s["nav"]["v_n"]).max() < 1e-6
+    np.testing.assert_allclose(s["nav"]["C_n_b"], C_n_b, atol=1e-9)
 
 
 def test_noiseless_hour_at_rest():
@@ -162,9 +166,11 @@ def test_constant_rates_are_integrated_exactly_in_the_body():
     block[:3, :3], block[:3, 3] = skew(w_ib_b), f_b
     moved = expm(block * dt)  # [[exp(W t), int exp(W s) f ds], [0, 1]]
     (s,) = kept
-    np.testing.assert_allclose(s["C_n_b"], C_n_b @ expm(skew(w_ib_b) * dt), atol=1e-14)
+    np.testing.assert_allclose(s["nav"]["C_n_b"], C_n_b @ expm(skew(w_ib_b) * dt), atol=1e-14)
     gravity = np.array([0.0, 0.0, 9.7949])
-    np.testing.assert_allclose(s["v_n"], v_n + C_n_b @ moved[:3, 3] + gravity * dt, atol=1e-5)
+    np.testing.assert_allclose(
+        s["nav"]["v_n"], v_n + C_n_b @ moved[:3, 3] + gravity * dt, atol=1e-5
+    )
 
 
 def test_turn_rate_of_the_state_is_against_the_navigation_frame():
@@ -175,7 +181,7 @@ def test_turn_rate_of_the_state_is_against_the_navigation_frame():
 
     def visit(first, states):
         middle = trajectory.truth(t[first : first + len(states)] - dt / 2)
-        np.testing.assert_allclose(states["w_nb_b"], middle.w_nb_b, atol=1e-4)
+        np.testing.assert_allclose(states["nav"]["w_nb_b"], middle.w_nb_b, atol=1e-4)
 
     navigate(filter_on(trajectory), start.C_n_b[0], start.v_n[0], f_b, w_ib_b, dt, visit)
 
@@ -186,7 +192,7 @@ def test_turn_rate_leaves_out_the_earth():
     f_b, w_ib_b = ideal_imu(STATIC, np.arange(1, 101) * 0.01, 0.01)
 
     def visit(first, states):
-        assert abs(states["w_nb_b"]).max() < 1e-9
+        assert abs(states["nav"]["w_nb_b"]).max() < 1e-9
 
     navigate(filter_on(STATIC), start.C_n_b[0], start.v_n[0], f_b, w_ib_b, 0.01, visit)
 
@@ -233,11 +239,11 @@ def test_against_python_ins_on_the_auv_mission():
     every = 200
     n = 20_000  # 100 s, which bounds the memory
     stamps_ns = np.rint(t[:n] * NS).astype(np.int64)
-    result = run(parameters, stamps_ns, f_b[:n], w_ib_b[:n], [])
+    result = fold_arrays(parameters, stamps_ns, f_b[:n], w_ib_b[:n], [])
     ours, theirs = result.states[1:][::every], theirs.iloc[: n - 1 : every]
-    np.testing.assert_allclose(ours["v_n"], theirs[["VN", "VE", "VD"]], atol=1e-4)
+    np.testing.assert_allclose(ours["nav"]["v_n"], theirs[["VN", "VE", "VD"]], atol=1e-4)
     C = Rotation.from_euler("ZYX", theirs[["heading", "pitch", "roll"]], degrees=True).as_matrix()
-    assert attitude_errors(ours["C_n_b"], C).max() < 1e-6
+    assert attitude_errors(ours["nav"]["C_n_b"], C).max() < 1e-6
     origin = [np.degrees(trajectory.lat_0), np.degrees(trajectory.lon_0), trajectory.h_0]
     p_n = transform.lla_to_ned(theirs[["lat", "lon", "alt"]], origin)
-    np.testing.assert_allclose(ours["p_n"], p_n, atol=1e-2)
+    np.testing.assert_allclose(ours["nav"]["p_n"], p_n, atol=1e-2)

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from insdvl.navigation.process_noise import variational
+from insdvl.navigation.process_noise.variational import variational
 from insdvl.studies.evaluation.approaches import Setting
 from insdvl.studies.evaluation.metrics import rmse
 from insdvl.studies.evaluation.monte_carlo import TUNING, Run, Study, track_of
-from insdvl.timeline.fold import FoldResult
+from insdvl.timeline.output import FoldResult
 
 RNG = np.random.default_rng(11)
 L = np.tril(RNG.normal(size=(15, 15)))

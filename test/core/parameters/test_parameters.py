@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 import yaml
 
-from insdvl.navigation.events import Dvl, Imu, ProcessNoise
+from insdvl.navigation.events import Imu, ProcessNoise
+from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import ParameterError, build, declarations, flatten, parameter
 from insdvl.parameters.sections import load_section

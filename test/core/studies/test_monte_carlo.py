@@ -75,7 +75,7 @@ def test_all_approaches_of_a_run_see_the_same() -> None:
 
 def test_the_oracle_is_told_the_true_variances(run: Run) -> None:
     fold = run.fold(approach(ORACLE, CALIBRATED))
-    told = np.hstack([np.diagonal(fold.states[q], 0, 1, 2) for q in ("Q_f", "Q_w")])
+    told = np.hstack([np.diagonal(fold.states["noise"][q], 0, 1, 2) for q in ("Q_f", "Q_w")])
     # The state after a sample has the Q from its stamp on, which is that of the next sample.
     np.testing.assert_array_equal(told[:-1], run.mission.q[1:])
 
@@ -121,7 +121,7 @@ def test_failures() -> None:
 
 def test_a_failed_filter_has_no_numbers(run: Run) -> None:
     fold = run.fold(approach(ORACLE, CALIBRATED))
-    fold.states["v_n"][-1] = np.nan
+    fold.states["nav"]["v_n"][-1] = np.nan
     values, series = assess(fold, run)
     assert values[METRICS.index("failed")] == 1.0
     assert np.isnan(values[:-1]).all() and np.isnan(series).all()

@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from recordings import REPLAY, record, save
+from records import fields
 
 from insdvl import cli
-from insdvl.navigation.events import NS, Dvl, Event, Initial, ProcessNoise
+from insdvl.navigation.events import NS, Event, Initial, ProcessNoise
 from insdvl.navigation.geometry.frames import ENU, rpy_from_rotation
+from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build
 from insdvl.recordings import bags
@@ -34,7 +36,7 @@ from insdvl.studies.replay.command import (
     states_at,
     write_bag,
 )
-from insdvl.timeline.fold import run
+from insdvl.timeline.recorded import fold_arrays
 from insdvl.tuner.parameters import TunerParameters
 from insdvl.tuner.tuner import Tuner
 
@@ -73,8 +75,8 @@ def dvl_events(mission: Mission) -> list[Event]:
 
 def assert_same_states(states: NDArray[np.void], expected: NDArray[np.void]) -> None:
     assert states.dtype == expected.dtype
-    for name in states.dtype.names or ():
-        np.testing.assert_array_equal(states[name], expected[name], err_msg=name)
+    for (name, found), (_, value) in zip(fields(states), fields(expected), strict=True):
+        np.testing.assert_array_equal(found, value, err_msg=name)
 
 
 # ---------------------------------------------------------------- the state
@@ -86,7 +88,9 @@ def test_a_recording_folds_into_the_state_of_the_direct_run(
 ) -> None:
     parameters = filter_parameters(error_state=error_state)
     replayed = fold_recording(read(bag, REPLAY), parameters)
-    direct = run(parameters, mission.stamps_ns, mission.f_b, mission.w_ib_b, dvl_events(mission))
+    direct = fold_arrays(
+        parameters, mission.stamps_ns, mission.f_b, mission.w_ib_b, dvl_events(mission)
+    )
     assert_same_states(replayed.fold.states, direct.states)
     assert len(replayed.fold.updates) == len(direct.updates) == int(DURATION)
     assert not replayed.rejected
@@ -100,10 +104,10 @@ def test_the_oracle_uses_the_true_process_noise(bag: Path, mission: Mission) -> 
         for stamp, q in zip(*mission.process_noise(), strict=True)
     ]
     events = dvl_events(mission) + true
-    direct = run(parameters, mission.stamps_ns, mission.f_b, mission.w_ib_b, events)
+    direct = fold_arrays(parameters, mission.stamps_ns, mission.f_b, mission.w_ib_b, events)
     assert_same_states(replayed.fold.states, direct.states)
     nominal = fold_recording(read(bag, REPLAY), filter_parameters())
-    assert (nominal.fold.states["P"][-1] != replayed.fold.states["P"][-1]).any()
+    assert (nominal.fold.states["nav"]["P"][-1] != replayed.fold.states["nav"]["P"][-1]).any()
 
 
 def test_without_recorded_process_noise_the_tuner_learns_it(bag: Path, mission: Mission) -> None:
@@ -132,7 +136,7 @@ def test_without_recorded_process_noise_the_tuner_learns_it(bag: Path, mission: 
         for tuned in expected
     ]
     events = dvl_events(mission) + told
-    direct = run(parameters, mission.stamps_ns, mission.f_b, mission.w_ib_b, events)
+    direct = fold_arrays(parameters, mission.stamps_ns, mission.f_b, mission.w_ib_b, events)
     assert_same_states(fold_recording(learned, parameters).fold.states, direct.states)
 
 
@@ -144,11 +148,11 @@ def test_the_first_message_of_the_topic_initialises(bag: Path, mission: Mission)
     start_ns = int(mission.stamps_ns[0])
     start = Initial(start_ns, C, mission.truth.p_n[0], C.T @ v_n, "body")
     events = [*dvl_events(mission), start]
-    direct = run(parameters, mission.stamps_ns, mission.f_b, mission.w_ib_b, events)
+    direct = fold_arrays(parameters, mission.stamps_ns, mission.f_b, mission.w_ib_b, events)
     # A quaternion is between the two, so they agree to rounding only.
     for name in ("C_n_b", "v_n", "p_n", "P"):
         np.testing.assert_allclose(
-            replayed.fold.states[name], direct.states[name], rtol=1e-9, atol=1e-9
+            replayed.fold.states["nav"][name], direct.states["nav"][name], rtol=1e-9, atol=1e-9
         )
 
 
@@ -224,13 +228,13 @@ def test_the_numbers_are_those_of_the_arrays(bag: Path, mission: Mission) -> Non
         return float(np.sqrt(np.mean(np.sum(error**2, axis=-1))))
 
     assert numbers["reference_stamps"] == len(states) == len(mission.stamps_ns)
-    assert numbers["velocity_rmse"] == pytest.approx(rms(states["v_n"] - truth.v_n))
-    v_b = np.einsum("kji,kj->ki", states["C_n_b"], states["v_n"])
+    assert numbers["velocity_rmse"] == pytest.approx(rms(states["nav"]["v_n"] - truth.v_n))
+    v_b = np.einsum("kji,kj->ki", states["nav"]["C_n_b"], states["nav"]["v_n"])
     v_b_true = np.einsum("kji,kj->ki", truth.C_n_b, truth.v_n)
     assert numbers["body_velocity_rmse"] == pytest.approx(rms(v_b - v_b_true))
-    horizontal = (states["p_n"] - truth.p_n)[:, :2]
+    horizontal = (states["nav"]["p_n"] - truth.p_n)[:, :2]
     assert numbers["position_rmse_horizontal"] == pytest.approx(rms(horizontal))
-    yaw = np.arctan2(states["C_n_b"][:, 1, 0], states["C_n_b"][:, 0, 0])
+    yaw = np.arctan2(states["nav"]["C_n_b"][:, 1, 0], states["nav"]["C_n_b"][:, 0, 0])
     yaw -= np.arctan2(truth.C_n_b[:, 1, 0], truth.C_n_b[:, 0, 0])
     yaw = np.degrees((yaw + np.pi) % (2 * np.pi) - np.pi)
     assert numbers["heading_rmse_deg"] == pytest.approx(rms(yaw[:, None]), rel=0.02)
@@ -400,7 +404,7 @@ def test_the_recorded_outputs_replay_to_the_same_numbers(bag: Path, tmp_path: Pa
         odometry = [m.message for m in out.messages(["/odometry/filtered"])]
         assert out.topics["/dvl/innovation"].size == int(DURATION)
         assert out.topics["/imu/bias"].size == int(DURATION) + 1
-    stamps_ns = replayed.fold.states["time_ns"][replayed.initialised]
+    stamps_ns = replayed.fold.states["nav"]["time_ns"][replayed.initialised]
     track, sigma = states_at(replayed.fold, stamps_ns)
     assert len(odometry) == len(stamps_ns)
     for k in (0, 700, len(odometry) - 1):

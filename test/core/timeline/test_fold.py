@@ -5,9 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from records import P15
 
-from insdvl.navigation.events import NS, Dvl, Event, Imu, Initial, Origin, ProcessNoise
+from insdvl.navigation.events import NS, Event, Imu, Initial, Origin, ProcessNoise
 from insdvl.navigation.geometry.frames import rotation_from_rpy
+from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.odometry import Odometry, odometry
 from insdvl.navigation.parameters import (
     DvlParameters,
@@ -23,7 +25,10 @@ from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.mission import simulate
 from insdvl.simulation.noise import segments
 from insdvl.simulation.trajectories import AUV
-from insdvl.timeline.fold import AppliedUpdate, Fold, FoldResult, mean_rate, run
+from insdvl.timeline.fold import Fold
+from insdvl.timeline.output import AppliedUpdate, FoldResult
+from insdvl.timeline.recorded import fold_arrays
+from insdvl.timeline.samples import mean_rate
 
 SEED = 57_721
 STEP = 10_000_000
@@ -96,7 +101,7 @@ def mission(seconds: float, seed: int = SEED) -> list[Event]:
 
 def offline(settings: FilterParameters, events: list[Event]) -> FoldResult:
     samples = [e for e in events if isinstance(e, Imu)]
-    return run(
+    return fold_arrays(
         settings,
         np.array([e.stamp_ns for e in samples]),
         np.array([e.f_b for e in samples]),
@@ -309,7 +314,11 @@ def test_with_an_output_delay_the_output_is_the_offline_result(
     taken = feed(fold, events, every=every)
     outputs = [o for o in taken if isinstance(o, Odometry)]
     until = fold.newest_ns - round(MAX_DELAY * NS)
-    states = [(k, int(s["time_ns"])) for k, s in enumerate(expected.states) if s["initialised"]]
+    states = [
+        (k, int(s["nav"]["time_ns"]))
+        for k, s in enumerate(expected.states)
+        if s["nav"]["initialised"]
+    ]
     assert [o.stamp_ns for o in outputs] == [t for _, t in states if t <= until]
     for output, (k, _) in zip(outputs, states, strict=False):
         offline_output = odometry(expected.filter, expected.states, k)
@@ -427,20 +436,20 @@ def test_the_second_of_two_at_one_stamp_is_a_duplicate() -> None:
 def test_samples_of_a_recording_are_checked() -> None:
     stamps, f, w = np.array([1, 2, 3]), np.zeros((3, 3)), np.zeros((3, 3))
     with pytest.raises(ValueError, match=r"shape \(3, 3\)"):
-        run(SIMPLE, stamps, f[:2], w, [])
+        fold_arrays(SIMPLE, stamps, f[:2], w, [])
     with pytest.raises(ValueError, match="finite"):
-        run(SIMPLE, stamps, np.full((3, 3), np.nan), w, [])
+        fold_arrays(SIMPLE, stamps, np.full((3, 3), np.nan), w, [])
     with pytest.raises(ValueError, match="got 2 after 2 at index 2"):
-        run(SIMPLE, np.array([1, 2, 2]), f, w, [])
+        fold_arrays(SIMPLE, np.array([1, 2, 2]), f, w, [])
     fold = simple(3)
     with pytest.raises(ValueError, match="must be empty, it has 3 samples"):
-        fold.add_samples(stamps, f, w)
+        fold.add_recording(stamps, f, w, [])
 
 
 def test_a_run_says_what_it_did_not_use() -> None:
     stamps = START + STEP * np.arange(10)
     ping = Dvl(START + 5 * STEP, np.zeros(3))
-    result = run(
+    result = fold_arrays(
         SIMPLE,
         stamps,
         np.tile([0.0, 0.0, -9.8], (10, 1)),
@@ -460,9 +469,9 @@ def test_a_run_uses_as_many_events_as_there_are() -> None:
     ]
     f_b = np.tile([0.0, 0.0, -9.8], (count + 1, 1))
     settings = replace(SIMPLE, process_noise=ProcessNoiseParameters(source="external"))
-    result = run(settings, stamps, f_b, np.zeros((count + 1, 3)), list(told))
+    result = fold_arrays(settings, stamps, f_b, np.zeros((count + 1, 3)), list(told))
     expected = 1e-6 * np.arange(1, count + 1)
-    np.testing.assert_allclose(result.states["Q_f"][1:, 0, 0], expected, rtol=1e-12)
+    np.testing.assert_allclose(result.states["noise"]["Q_f"][1:, 0, 0], expected, rtol=1e-12)
     assert not result.refused
 
 
@@ -555,7 +564,7 @@ def test_a_q_applies_from_its_stamp_on() -> None:
     fold.add(q)
     states = fold.states
     assert states[:49].tobytes() == plain[:49].tobytes()
-    heading = states["P"][:, 5, 5]
+    heading = states["nav"]["P"][:, 5, 5]
     steps = np.diff(heading) / (0.01 / 100.0)
     np.testing.assert_allclose(steps[:48], 2.0, rtol=1e-6)
     np.testing.assert_allclose(steps[48], 2.0, rtol=1e-6)
@@ -576,12 +585,12 @@ def test_a_q_that_stops_coming_falls_back_and_comes_back() -> None:
             fold.add(told(k))
         fold.take()
     # 0.5 s after the second one: the step that begins later than that has the nominal Q again.
-    q, nominal = fold.states["Q_w"][:, 0, 0], 0.001
+    q, nominal = fold.states["noise"]["Q_w"][:, 0, 0], 0.001
     expected = np.full(300, nominal)
     expected[20:112] = expected[200:252] = 0.25
     np.testing.assert_array_equal(q, expected)
     assert fold.counts["q_timeouts"] == 2
-    assert fold.states["q_timeouts"][[111, 112, 251, 252]].tolist() == [0, 1, 1, 2]
+    assert fold.states["counters"]["q_timeouts"][[111, 112, 251, 252]].tolist() == [0, 1, 1, 2]
 
 
 # ------------------------------------------------------------------ initialisation
@@ -604,8 +613,8 @@ def test_from_parameters_it_starts_at_the_first_sample() -> None:
     fold = Fold(modes("parameters", position=(7.0, 8.0, 9.0)))
     assert fold.latest is None
     fold.add(at(0))
-    assert fold.latest["time_ns"] == START
-    np.testing.assert_array_equal(fold.latest["p_n"], [7.0, 8.0, 9.0])
+    assert fold.latest["nav"]["time_ns"] == START
+    np.testing.assert_array_equal(fold.latest["nav"]["p_n"], [7.0, 8.0, 9.0])
 
 
 @pytest.mark.parametrize("mode", ["topic", "set_odometry"])
@@ -634,7 +643,7 @@ def test_a_late_initial_starts_the_past() -> None:
         fold.latest.tobytes()
         == offline(modes("set_odometry"), [start, *events]).states[-1].tobytes()
     )
-    assert fold.states["initialised"].tolist() == [0] * 13 + [1] * 7
+    assert fold.states["nav"]["initialised"].tolist() == [0] * 13 + [1] * 7
 
 
 def test_of_initials_that_apply_once_the_first_counts() -> None:
@@ -642,11 +651,11 @@ def test_of_initials_that_apply_once_the_first_counts() -> None:
     fold = simple(30, modes("topic"))
     fold.add(pose(10.5, once=True, north=1.0))
     fold.add(pose(20.5, once=True, north=2.0))
-    assert fold.latest["p_n"][0] == pytest.approx(1.0, abs=0.1)
+    assert fold.latest["nav"]["p_n"][0] == pytest.approx(1.0, abs=0.1)
     fold.add(pose(5.5, once=True, north=3.0))
-    assert fold.latest["p_n"][0] == pytest.approx(3.0, abs=0.1)
+    assert fold.latest["nav"]["p_n"][0] == pytest.approx(3.0, abs=0.1)
     fold.add(pose(25.5, north=4.0))
-    assert fold.latest["p_n"][0] == pytest.approx(4.0, abs=0.1)
+    assert fold.latest["nav"]["p_n"][0] == pytest.approx(4.0, abs=0.1)
 
 
 @pytest.mark.parametrize("newest", [99.5, 100.0])
@@ -659,7 +668,7 @@ def test_of_those_that_waited_for_the_first_sample_the_newest_counts(newest: flo
         for event in [*order, at(100), at(101)]:
             fold.add(event)
         assert fold.counts["gaps"] == 0
-        assert fold.latest["p_n"][0] == pytest.approx(newest, abs=0.1)
+        assert fold.latest["nav"]["p_n"][0] == pytest.approx(newest, abs=0.1)
         states.append(fold.latest.tobytes())
     alone = Fold(modes("topic"))
     for event in [poses[2], at(100), at(101)]:
@@ -672,11 +681,11 @@ def test_the_origin_may_come_late_and_the_first_counts() -> None:
     fold = simple(30, settings)
     assert fold.latest is None
     fold.add(Origin(START + 20 * STEP, 0.5, 0.6, 70.0))
-    assert fold.latest["time_ns"] == START + 29 * STEP
-    assert fold.states["initialised"].tolist() == [0] * 21 + [1] * 9
+    assert fold.latest["nav"]["time_ns"] == START + 29 * STEP
+    assert fold.states["nav"]["initialised"].tolist() == [0] * 21 + [1] * 9
     fold.add(Origin(START + 10 * STEP, 0.1, 0.2, 30.0))
-    assert fold.states["initialised"].tolist() == [0] * 11 + [1] * 19
-    assert [fold.latest[name] for name in ("lat_0", "lon_0", "h_0")] == [0.1, 0.2, 30.0]
+    assert fold.states["nav"]["initialised"].tolist() == [0] * 11 + [1] * 19
+    assert [fold.latest["nav"][name] for name in ("lat_0", "lon_0", "h_0")] == [0.1, 0.2, 30.0]
 
 
 @pytest.mark.parametrize("yaw", [-2.5, 0.7])
@@ -688,8 +697,8 @@ def test_levelling_finds_roll_and_pitch_and_keeps_the_heading(yaw: float) -> Non
     for k in range(80):
         f_b = C.T @ [0.0, 0.0, -9.8] + 0.01 * rng.standard_normal(3)
         fold.add(Imu(START + k * STEP, f_b, np.zeros(3)))
-    assert fold.states["initialised"].tolist() == [0] * 50 + [1] * 30
-    np.testing.assert_allclose(fold.states["C_n_b"][50], C, atol=1e-3)
+    assert fold.states["nav"]["initialised"].tolist() == [0] * 50 + [1] * 30
+    np.testing.assert_allclose(fold.states["nav"]["C_n_b"][50], C, atol=1e-3)
 
 
 def test_a_state_that_waits_for_its_imu_knows_that_it_missed_something() -> None:
@@ -703,7 +712,7 @@ def test_a_state_that_waits_for_its_imu_knows_that_it_missed_something() -> None
     soon.add(at(1))
     assert (soon.counts["gaps"], fold.counts["gaps"]) == (0, 1)
     unseen = (settings.imu.gap_acceleration_std * 2.0) ** 2
-    assert np.diag(fold.latest["P"])[:3].min() > unseen
+    assert np.diag(P15(fold.latest))[:3].min() > unseen
 
 
 # ------------------------------------------------------------------ samples
@@ -720,10 +729,10 @@ def test_the_rate_of_the_samples_may_change() -> None:
     settings = modes("parameters")
     a = offline(settings, [*fine[:400], ping]).states[-1]
     b = offline(settings, [*coarse, ping]).states[-1]
-    assert a["time_ns"] == b["time_ns"]
-    np.testing.assert_allclose(b["v_n"], a["v_n"], atol=5e-5)
-    np.testing.assert_allclose(b["p_n"], a["p_n"], atol=1e-4)
-    np.testing.assert_allclose(np.diag(b["P"]), np.diag(a["P"]), rtol=2e-3)
+    assert a["nav"]["time_ns"] == b["nav"]["time_ns"]
+    np.testing.assert_allclose(b["nav"]["v_n"], a["nav"]["v_n"], atol=5e-5)
+    np.testing.assert_allclose(b["nav"]["p_n"], a["nav"]["p_n"], atol=1e-4)
+    np.testing.assert_allclose(np.diag(P15(b)), np.diag(P15(a)), rtol=2e-3)
 
 
 def test_gaps_are_counted_and_add_uncertainty() -> None:
@@ -736,7 +745,7 @@ def test_gaps_are_counted_and_add_uncertainty() -> None:
         if k in stamps:
             fold.add(at(k))
     assert (fold.counts["gaps"], whole.counts["gaps"]) == (1, 0)
-    at_end = fold.states[stamps.index(165)]["P"] - whole.states[165]["P"]
+    at_end = P15(fold.states[stamps.index(165)]) - P15(whole.states[165])
     assert np.sqrt(at_end[0, 0]) == pytest.approx(0.5 * 0.16, rel=0.05)
     assert np.sqrt(at_end[5, 5]) == pytest.approx(0.05 * 0.16, rel=0.05)
     # The samples that were lost fill the gap when they come after all.
@@ -750,10 +759,10 @@ def test_a_ping_in_a_gap_cuts_it_and_it_is_still_one_gap() -> None:
     fold = Fold(settings)
     for k in [*range(100), 200]:
         fold.add(at(k))
-    P = fold.latest["P"].copy()
+    P = P15(fold.latest).copy()
     fold.add(Dvl(START + 150 * STEP, np.full(3, 0.1), 1e12 * np.eye(3)))  # tells nothing
     assert fold.counts["gaps"] == 1
-    np.testing.assert_allclose(np.diag(fold.latest["P"])[:6], np.diag(P)[:6], rtol=0.1)
+    np.testing.assert_allclose(np.diag(P15(fold.latest))[:6], np.diag(P)[:6], rtol=0.1)
 
 
 # ------------------------------------------------------------------ mean turn rate
@@ -794,7 +803,7 @@ def test_an_update_uses_the_mean_rate_and_its_noise() -> None:
         result = offline(settings, [*events, Dvl(START + 99 * STEP, v_d)])
         before = offline(settings, list(events)).states[-1]
         mean = 1e-3 * rates[100 - samples :].mean(axis=0)
-        h = before["C_n_b"].T @ before["v_n"] + np.cross(mean, arm)
+        h = before["nav"]["C_n_b"].T @ before["nav"]["v_n"] + np.cross(mean, arm)
         report = result.updates[0].report
         np.testing.assert_allclose(report.innovation, v_d - h, rtol=1e-9, atol=1e-12)
         S.append(np.trace(report.S))

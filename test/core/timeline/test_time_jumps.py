@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from records import P15
 
-from insdvl.navigation.events import NS, Dvl, Event, Imu, Initial, Origin, ProcessNoise
+from insdvl.navigation.events import NS, Event, Imu, Initial, Origin, ProcessNoise
+from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.odometry import Odometry
 from insdvl.navigation.parameters import (
     FilterParameters,
@@ -14,15 +16,11 @@ from insdvl.navigation.parameters import (
     ProcessNoiseParameters,
 )
 from insdvl.parameters.declaration import ParameterError
-from insdvl.timeline.fold import (
-    JUMP_SAMPLES,
-    MAX_SUSPECTS,
-    MAX_WAITING,
-    AppliedUpdate,
-    Fold,
-    TimeJump,
-    run,
-)
+from insdvl.timeline.entries import MAX_WAITING
+from insdvl.timeline.fold import Fold
+from insdvl.timeline.jumps import JUMP_SAMPLES, MAX_SUSPECTS, TimeJump
+from insdvl.timeline.output import AppliedUpdate
+from insdvl.timeline.recorded import fold_arrays
 
 SEED = 141_421
 STEP = 10_000_000
@@ -213,7 +211,7 @@ def test_where_odom_lies_does_not_depend_on_the_time() -> None:
     fold = Fold(settings)
     feed(fold, [Origin(START, 0.5, 0.6, 7.0), *samples(START, 50)])
     feed(fold, samples(START + 3600 * NS, 50))
-    assert [fold.latest[name] for name in ("lat_0", "lon_0", "h_0")] == [0.5, 0.6, 7.0]
+    assert [fold.latest["nav"][name] for name in ("lat_0", "lon_0", "h_0")] == [0.5, 0.6, 7.0]
 
 
 def test_where_odom_lies_stays_known_over_a_reset() -> None:
@@ -227,8 +225,8 @@ def test_where_odom_lies_stays_known_over_a_reset() -> None:
             fold.reset()
             assert fold.latest is None
         feed(fold, samples(START + 60 * STEP, 5))
-        assert [fold.latest[name] for name in ("lat_0", "lon_0", "h_0")] == [0.5, 0.6, 7.0]
-        assert fold.states["initialised"].all()
+        assert [fold.latest["nav"][name] for name in ("lat_0", "lon_0", "h_0")] == [0.5, 0.6, 7.0]
+        assert fold.states["nav"]["initialised"].all()
 
 
 def test_a_reset_needs_nothing_of_a_fold_that_fails(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -244,7 +242,7 @@ def test_a_reset_needs_nothing_of_a_fold_that_fails(monkeypatch: pytest.MonkeyPa
             fold.take()
         fold.reset()
     feed(fold, samples(START + 60 * STEP, 5))
-    assert [fold.latest[name] for name in ("lat_0", "lon_0", "h_0")] == [0.5, 0.6, 7.0]
+    assert [fold.latest["nav"][name] for name in ("lat_0", "lon_0", "h_0")] == [0.5, 0.6, 7.0]
 
 
 def test_counters_go_on_through_a_jump_and_end_at_a_reset() -> None:
@@ -295,7 +293,7 @@ def test_hold_ends_when_the_clock_comes_back() -> None:
     taken = feed(fold, samples(START + 3 * NS + 60 * STEP, 100))
     assert fold.held is None
     assert taken[-1].stamp_ns == START + 4 * NS + 59 * STEP
-    assert np.isfinite(fold.latest["P"]).all()
+    assert np.isfinite(P15(fold.latest)).all()
 
 
 # ------------------------------------------------------------------ long gaps
@@ -308,7 +306,7 @@ def test_a_gap_up_to_the_limit_is_bridged(gap: float) -> None:
     events = [*samples(START, 100), Dvl(resume - STEP // 2, np.full(3, 0.02))]
     events += samples(resume, 100)
     imu = [e for e in events if isinstance(e, Imu)]
-    expected = run(
+    expected = fold_arrays(
         SETTINGS,
         np.array([e.stamp_ns for e in imu]),
         np.array([e.f_b for e in imu]),
@@ -324,7 +322,7 @@ def test_a_gap_up_to_the_limit_is_bridged(gap: float) -> None:
         assert fold.counts["gaps"] == (gap > 0.1)
         assert fold.counts["time_jumps"] == 0
     s = expected.states
-    before, after = (np.sqrt(s["P"][k, 0, 0]) for k in (99, 100))
+    before, after = (np.sqrt(s["nav"]["P"][k, 0, 0]) for k in (99, 100))
     unseen = 0.5 * gap if gap > 0.1 else 0.0
     noise = 0.1  # of one ping, that came at the end of the gap
     assert after > min(unseen, 0.9 * noise) and after < before + unseen + 2 * noise
@@ -333,7 +331,7 @@ def test_a_gap_up_to_the_limit_is_bridged(gap: float) -> None:
 def test_a_recording_for_a_run_is_of_one_time() -> None:
     stamps = np.array([START, START + STEP, START + 31 * NS])
     with pytest.raises(ValueError, match=r"more than jump_limit \(30 s\), got .* at index 2"):
-        run(SETTINGS, stamps, np.zeros((3, 3)), np.zeros((3, 3)), [])
+        fold_arrays(SETTINGS, stamps, np.zeros((3, 3)), np.zeros((3, 3)), [])
 
 
 @pytest.mark.parametrize("change", [{"max_delay": 40.0}, {"jump_limit": 1.0, "max_delay": 2.0}])
@@ -351,11 +349,11 @@ def test_suspects_are_bounded() -> None:
     for k in range(3 * MAX_SUSPECTS):
         assert fold.add(Dvl(START + 3600 * NS + k * STEP, np.ones(3))) == "far_ahead"
         assert fold.add(sample(START - 3600 * NS - 5 * k * NS)) == "too_late"
-    assert len(fold._suspects) == MAX_SUSPECTS
+    assert len(fold._suspects.events) == MAX_SUSPECTS
     assert fold.counts["time_jumps"] == 0
     # Those of long ago are forgotten as the present goes on.
     feed(fold, samples(START + 50 * STEP, 60))
-    assert len(fold._suspects) == 0
+    assert len(fold._suspects.events) == 0
 
 
 def test_what_waits_for_the_first_sample_is_bounded() -> None:
@@ -373,11 +371,11 @@ def test_what_waits_for_the_first_sample_is_bounded() -> None:
         fold.add(Dvl(stamp, np.ones(3)))
         fold.add(ProcessNoise(stamp, np.eye(3), np.eye(3)))
         fold.add(Initial(stamp, np.eye(3), np.full(3, float(k)), np.zeros(3), "body"))
-    assert len(fold._entries) == 4 * MAX_WAITING
+    assert len(fold._entries.ordered) == 4 * MAX_WAITING
     assert fold.counts["given_up"] == 4 * 500
     feed(fold, samples(START + count * NS, 10))
-    assert fold.latest["h_0"] == 0.0
-    assert fold.latest["p_n"][0] == pytest.approx(count - 1, abs=0.5)
+    assert fold.latest["nav"]["h_0"] == 0.0
+    assert fold.latest["nav"]["p_n"][0] == pytest.approx(count - 1, abs=0.5)
 
 
 def test_an_initial_state_from_long_ago_is_not_used() -> None:
@@ -408,6 +406,8 @@ def test_no_precision_is_lost_near_the_end_of_the_stamps() -> None:
     feed(folds[0], events)
     feed(folds[1], [shifted(e) for e in events])
     early, late = (fold.latest for fold in folds)
-    assert late["time_ns"] - early["time_ns"] == (2**31 - 4) * NS
-    for name in ("C_n_b", "v_n", "p_n", "b_f", "b_w", "P", "Q_f", "Q_w"):
-        assert early[name].tobytes() == late[name].tobytes()
+    assert late["nav"]["time_ns"] - early["nav"]["time_ns"] == (2**31 - 4) * NS
+    for name in ("C_n_b", "v_n", "p_n", "b_f", "b_w", "P"):
+        assert early["nav"][name].tobytes() == late["nav"][name].tobytes()
+    for name in ("Q_f", "Q_w"):
+        assert early["noise"][name].tobytes() == late["noise"][name].tobytes()

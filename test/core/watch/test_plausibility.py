@@ -8,7 +8,8 @@ import pytest
 from numpy.typing import NDArray
 from recordings import record
 
-from insdvl.navigation.events import NS, Dvl, Event, Imu
+from insdvl.navigation.events import NS, Event, Imu
+from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build
 from insdvl.simulation.dvl import DvlModel

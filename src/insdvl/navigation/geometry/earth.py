@@ -8,11 +8,9 @@ Source: P. D. Groves, Principles of GNSS, Inertial, and Multisensor Integrated N
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from insdvl.arrays import Array
 from insdvl.kernels import kernel
-
-Array = NDArray[np.float64]
 
 SEMI_MAJOR_AXIS = 6378137.0  # m
 FLATTENING = 1.0 / 298.257223563

@@ -8,12 +8,10 @@ directions, and a stream that already is NED/FRD passes through ``NED`` unchange
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from insdvl.arrays import Array
 from insdvl.navigation.geometry.rotation import quaternions
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -1,11 +1,9 @@
 """Vector and rotation kernels on (3,) and (3, 3) arrays; results go into the first argument."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from insdvl.arrays import Array
 from insdvl.kernels import kernel
-
-Array = NDArray[np.float64]
 
 #: Below this squared angle the series are exact to rounding, and no sine is needed.
 _SMALL_ANGLE_SQUARED = 1e-4

@@ -21,7 +21,8 @@ from insdvl.navigation.error_state import (
     POSITION,
     body_velocity_jacobian,
 )
-from insdvl.navigation.events import NS, Dvl, Event, Initial, ProcessNoise
+from insdvl.navigation.events import NS, Event, Initial, ProcessNoise
+from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters, InitialParameters
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import SCENARIOS, ProfileFactory, segments
@@ -36,7 +37,8 @@ from insdvl.studies.evaluation.metrics import (
     rmse,
     scores,
 )
-from insdvl.timeline.fold import FoldResult, run
+from insdvl.timeline.output import FoldResult
+from insdvl.timeline.recorded import fold_arrays
 from insdvl.tuner.offline import Estimator, tuned
 
 Array = NDArray[np.float64]
@@ -159,7 +161,7 @@ class Run:
             ProcessNoise(stamp_ns, np.diag(q[:3]), np.diag(q[3:]))
             for stamp_ns, q in zip(stamps_ns.tolist(), variances, strict=True)
         ]
-        return run(parameters, m.stamps_ns, m.f_b, m.w_ib_b, self._events + told)
+        return fold_arrays(parameters, m.stamps_ns, m.f_b, m.w_ib_b, self._events + told)
 
     def learned(
         self, estimate: Estimator, window: int, rate: float
@@ -182,7 +184,8 @@ def track(C_n_b: Array, v_n: Array, p_n: Array) -> Track:
 
 def track_of(states: Records) -> Track:
     """The track of a filter's states (N,)."""
-    C_n_b, v_n, p_n = (np.ascontiguousarray(states[name]) for name in ("C_n_b", "v_n", "p_n"))
+    nav = states["nav"]
+    C_n_b, v_n, p_n = (np.ascontiguousarray(nav[name]) for name in ("C_n_b", "v_n", "p_n"))
     return track(C_n_b, v_n, p_n)
 
 
@@ -220,15 +223,18 @@ def assess(fold: FoldResult, run: Run) -> tuple[Array, Array]:
         return _failure(), series
     values = _errors(result, truth)
 
-    P = s["P"][at]
+    P = fold.filter.covariance(fold.states)[at]
     J = body_velocity_jacobian(
-        result.C_n_b[at], s["v_n"][at], invariant=fold.filter.invariant, n=fold.filter.n
+        result.C_n_b[at],
+        s["nav"]["v_n"][at],
+        invariant=fold.filter.vehicle.invariant,
+        n=fold.filter.n,
     )
     J = np.concatenate([J, np.broadcast_to(np.eye(fold.filter.n)[ATTITUDE], J.shape)], axis=1)
     P_va = J @ P @ np.swapaxes(J, 1, 2)
     dv = (truth.v_b - result.v_b)[at]
     psi = attitude_error(result.C_n_b[at], truth.C_n_b[at])
-    bias = m.bias[at] - np.hstack([s["b_f"][at], s["b_w"][at]])
+    bias = m.bias[at] - np.hstack([s["nav"]["b_f"][at], s["nav"]["b_w"][at]])
     biases = slice(ACCELEROMETER_BIAS.start, GYROSCOPE_BIAS.stop)
     dp = (truth.p_n - result.p_n)[at]
     for name, error, covariance in (

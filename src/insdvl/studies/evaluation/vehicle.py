@@ -49,7 +49,9 @@ from insdvl.studies.replay.command import (
     recorded_events,
     truth_of,
 )
-from insdvl.timeline.fold import Fold, FoldResult, run
+from insdvl.timeline.fold import Fold
+from insdvl.timeline.output import FoldResult
+from insdvl.timeline.recorded import fold_arrays
 from insdvl.tuner.features.closed_form import degree_5
 from insdvl.tuner.features.differences import bounded
 from insdvl.tuner.models import Model
@@ -284,7 +286,7 @@ def fold(
             for stamp_ns, q in zip(*told, strict=True)
         ]
     frd = samples @ _stream_axes(settings)
-    return run(parameters, recording.stamps_ns, frd[:, :3], frd[:, 3:], events)
+    return fold_arrays(parameters, recording.stamps_ns, frd[:, :3], frd[:, 3:], events)
 
 
 def _numbers(recording: Recording, result: FoldResult) -> Array:

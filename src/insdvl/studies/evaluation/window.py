@@ -18,7 +18,7 @@ from insdvl.studies.evaluation.metrics import rmse
 from insdvl.studies.evaluation.monte_carlo import TEST, Run, Study, numbered, track_of
 from insdvl.studies.evaluation.tables import interval, number, table
 from insdvl.studies.training.ensemble import train
-from insdvl.timeline.fold import FoldResult
+from insdvl.timeline.output import FoldResult
 from insdvl.tuner.forest import Forest
 from insdvl.tuner.models import Model, load_model
 

@@ -20,7 +20,9 @@ from insdvl.navigation.parameters import FilterParameters, InitialParameters
 from insdvl.parameters.declaration import build
 from insdvl.simulation.mission import Mission
 from insdvl.studies.faults.stream import DVL, IMU, Arrival, Sensors, Stream, learned_from
-from insdvl.timeline.fold import AppliedUpdate, Fold, TimeJump
+from insdvl.timeline.fold import Fold
+from insdvl.timeline.jumps import TimeJump
+from insdvl.timeline.output import AppliedUpdate
 from insdvl.tuner.tuner import Tuner
 
 Array = NDArray[np.float64]
@@ -169,7 +171,7 @@ class _Outputs:
         self.finite &= bool(np.isfinite(numbers).all())
         if abs(output.stamp_ns - self.looked_ns) >= _COVARIANCE_EVERY_NS:
             self.looked_ns = output.stamp_ns
-            self.positive &= _positive(fold.latest["P"])  # type: ignore[index]
+            self.positive &= _positive(fold.filter.covariance(fold.latest))  # type: ignore[arg-type]
         self.stamps[output.stamp_ns] += 1
         k = self.stream.epoch_of(output.stamp_ns, now_ns)
         if k is None:  # a stamp of no time at all

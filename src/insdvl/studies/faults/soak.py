@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl.messages.inputs import Inputs
-from insdvl.navigation.events import NS, Dvl, Imu
+from insdvl.navigation.events import NS, Imu
 from insdvl.navigation.filter import Filter
 from insdvl.navigation.geometry.frames import ENU, rpy_from_rotation
+from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.state import State
 from insdvl.parameters.declaration import build
@@ -26,7 +27,8 @@ from insdvl.simulation.mission import ImuModel, Mission, simulate
 from insdvl.simulation.noise import SCENARIOS
 from insdvl.simulation.trajectories import LOOP
 from insdvl.studies.faults.stream import IMU, Arrival, dvl_arrivals, imu_arrivals, learned_from
-from insdvl.timeline.fold import AppliedUpdate, Fold
+from insdvl.timeline.fold import Fold
+from insdvl.timeline.output import AppliedUpdate
 from insdvl.tuner.parameters import TunerParameters
 from insdvl.tuner.tuner import Tuner
 
@@ -85,10 +87,15 @@ class Health:
     smallest_eigenvalue: float = 1.0
     orthonormality: float = 0.0
 
-    def with_state(self, state: State) -> "Health":
-        """The worst of this and of a state; nan where the state is not finite."""
-        P, C = state["P"], state["C_n_b"]
-        if not all(np.isfinite(state[name]).all() for name in ("C_n_b", "v_n", "p_n", "P")):
+    def with_state(self, state: State, P: Array) -> "Health":
+        """The worst of this and of a state; nan where the state is not finite.
+
+        Args:
+            state: The state.
+            P: (n, n) its covariance.
+        """
+        C = state["nav"]["C_n_b"]
+        if not all(np.isfinite(state["nav"][name]).all() for name in ("C_n_b", "v_n", "p_n", "P")):
             return Health(np.nan, np.nan, np.nan)
         sigma = np.sqrt(np.diag(P))
         correlation = P / np.outer(sigma, sigma)
@@ -144,7 +151,9 @@ def run(hours: int, duration: float = LEG) -> Iterator[Hour]:
             for output in _taken(arrival, fold, inputs, tuner):
                 if isinstance(output, AppliedUpdate):
                     nis.append(output.report.nis)
-                    health = health.with_state(fold.states[-1])
+                    health = health.with_state(
+                        fold.states[-1], fold.filter.covariance(fold.states[-1])
+                    )
                     continue
                 error = output.twist_linear - v_b[k]
                 squared += float(error @ error)
@@ -176,7 +185,7 @@ def steps(parameters: FilterParameters, millions: int, seed: int) -> Iterator[He
     f_b = np.array([0.1, -0.2, -9.8]) + rng.normal(0.0, 0.1, (chunk, 3))
     w_ib_b = np.array([0.02, -0.01, 0.3]) + rng.normal(0.0, 0.03, (chunk, 3))
     readings = np.hstack([f_b, w_ib_b])
-    state = filter_.start()
+    state = filter_.empty()
     states = np.empty(chunk, state.dtype)
     filter_.await_start(state, Imu(0, f_b[0], w_ib_b[0]), readings[0])
     step_ns = round(NS / parameters.imu.rate)
@@ -187,7 +196,7 @@ def steps(parameters: FilterParameters, millions: int, seed: int) -> Iterator[He
             filter_.predict_samples(state, stamps_ns, f_b, w_ib_b, readings, 0, chunk, states)
             v_d = rng.normal((1.0, 0.0, 0.0), 0.05)
             filter_.update(state, Dvl(int(stamps_ns[-1]), v_d), w_ib_b[-25:].mean(axis=0), 25)
-            health = health.with_state(state[0])
+            health = health.with_state(state[0], filter_.covariance(state)[0])
             stamps_ns += chunk * step_ns
         yield health
 

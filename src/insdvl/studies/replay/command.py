@@ -39,7 +39,8 @@ from insdvl.studies.evaluation.metrics import (
     normalised_innovations,
     scores,
 )
-from insdvl.timeline.fold import AppliedUpdate, Fold, FoldResult
+from insdvl.timeline.fold import Fold
+from insdvl.timeline.output import AppliedUpdate, FoldResult
 from insdvl.tuner.parameters import TunerParameters
 from insdvl.tuner.tuner import Tuner
 from insdvl.watch.alignment import FrameCheck
@@ -212,7 +213,7 @@ class Replayed:
     @property
     def initialised(self) -> NDArray[np.intp]:
         """Indices of the initialised states, after the last time jump."""
-        return np.flatnonzero(self.fold.states["initialised"])
+        return np.flatnonzero(self.fold.states["nav"]["initialised"])
 
     @property
     def parts(self) -> list[Fold | FoldResult]:
@@ -290,7 +291,7 @@ def states_at(fold: Fold | FoldResult, stamps_ns: NDArray[np.int64]) -> tuple[Tr
         fold: The result.
         stamps_ns: (M,) stamps from the first to the last initialised state.
     """
-    times_ns = fold.states["time_ns"]
+    times_ns = fold.states["nav"]["time_ns"]
     after = np.searchsorted(times_ns, stamps_ns)
     exact = times_ns[after] == stamps_ns
     before = np.where(exact, after, after - 1)
@@ -336,7 +337,7 @@ def errors_of(
     that corrected the state. What cannot be told is None.
     """
     nis = [update.report.nis for update in fold.updates if update.report.corrected]
-    times_ns = fold.states["time_ns"][fold.states["initialised"] != 0]
+    times_ns = fold.states["nav"]["time_ns"][fold.states["nav"]["initialised"] != 0]
     inside = np.zeros(len(stamps_ns), dtype=bool)
     if times_ns.size:
         inside = (stamps_ns >= times_ns[0]) & (stamps_ns <= times_ns[-1])
@@ -387,7 +388,7 @@ def report(recording: Sequence[Raw], replayed: Replayed) -> dict[str, Any]:
     nu = np.array([r.innovation for r in corrected]).reshape(-1, 3)
     S = np.array([r.S for r in corrected]).reshape(-1, 3, 3)
     known = replayed.initialised
-    times_ns = fold.states["time_ns"][known]
+    times_ns = fold.states["nav"]["time_ns"][known]
     return errors_of(fold, *truth_of(recording)) | {
         "dvl_accepted": sum(u.report.accepted for u in updates),
         "dvl_rejected": sum(reasons.values()),
@@ -425,7 +426,7 @@ def write_bag(
     initialised = [
         (part, int(k))
         for part in replayed.parts
-        for k in np.flatnonzero(part.states["initialised"])
+        for k in np.flatnonzero(part.states["nav"]["initialised"])
     ]
     for part, k in initialised:
         state = odometry(part.filter, part.states, k)

@@ -1,0 +1,228 @@
+"""Channels of the IMU that do not show the motion: saturated, or frozen.
+
+The filter goes on with what it has, and its covariance knows what may have gone unseen.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from insdvl.arrays import Array
+from insdvl.kernels import kernel
+from insdvl.navigation import strapdown
+from insdvl.navigation.geometry.rotation import rotate_back
+from insdvl.navigation.state import NEVER, Constants, State, Workspace
+from insdvl.parameters.declaration import lever_arm, mount, parameter
+
+
+@dataclass(frozen=True)
+class ImuParameters:
+    """The real IMU."""
+
+    rate: float = parameter(
+        100.0,
+        "Nominal rate of the IMU; turns a variance per sample into a density.",
+        unit="Hz",
+        above=0.0,
+        high=10_000.0,
+    )
+    mount: tuple[float, ...] = mount("IMU")
+    lever_arm: tuple[float, ...] = lever_arm("IMU")
+    frame_id: str = parameter(
+        "", "A sample of any other frame_id is refused as 'wrong_frame'; empty for any."
+    )
+    max_gap: float = parameter(
+        0.1,
+        "An interval between IMU stamps longer than this is a gap: it is counted, bridged with "
+        "the sample that ends it, and adds the uncertainty of the motion that was not seen.",
+        unit="s",
+        above=0.0,
+    )
+    gap_acceleration_std: float = parameter(
+        0.5, "Acceleration that may go unseen in a gap, one sigma.", unit="m/s^2", low=0.0
+    )
+    gap_rate_std: float = parameter(
+        0.05, "Rate of turn that may go unseen in a gap, one sigma.", unit="rad/s", low=0.0
+    )
+    acceleration_range: float = parameter(
+        0.0,
+        "A channel that reads this or more, either way, is saturated: the motion that it does not "
+        "see is added as in a gap, this at least; 0 if no range is declared.",
+        unit="m/s^2",
+        low=0.0,
+    )
+    rate_range: float = parameter(
+        0.0, "As acceleration_range, of the angular rate.", unit="rad/s", low=0.0
+    )
+    frozen_samples: int = parameter(
+        100,
+        "A channel with this many exactly equal samples in a row is frozen: it is taken for one "
+        "that feels gravity only, or no turn, and the motion that it does not see is added as in a "
+        "gap; 0 for never.",
+        low=0,
+        high=1_000_000,
+    )
+
+
+@kernel
+def is_saturated(c: Constants, reading: Array, i: int) -> bool:
+    """Whether a channel reads its range or more."""
+    return abs(reading[i]) >= c.range[i]
+
+
+@kernel
+def is_frozen(s: State, c: Constants, reading: Array, i: int) -> bool:
+    """Whether the sample is at least the last of ``frozen_samples`` that are equal."""
+    channels = s.channels
+    return 0 < c.frozen <= channels.equal[i] + 1 and reading[i] == channels.reading[i]
+
+
+@kernel
+def unseen_sigma(c: Constants, reading: Array, i: int) -> float:
+    """One sigma of the motion that a channel in doubt does not see [m/s^2 or rad/s].
+
+    A channel that is saturated may be stuck there: its range at least.
+    """
+    sigma = c.gap_f if i < 3 else c.gap_w
+    if is_saturated(c, reading, i):
+        return max(sigma, c.range[i])
+    return sigma
+
+
+@kernel
+def _growth(from_ns: int, to_ns: int, since_ns: int, is_new: bool) -> float:
+    """Density over a step that makes T^2 grow, T being the time since a stamp; or all of it."""
+    before = 0.0 if is_new else (from_ns - since_ns) * 1e-9
+    after = (to_ns - since_ns) * 1e-9
+    return (after**2 - before**2) / ((to_ns - from_ns) * 1e-9)
+
+
+@kernel
+def doubt(s: State, w: Workspace, c: Constants, reading: Array, to_ns: int, told_ns: int) -> bool:
+    """Densities, up to a stamp, of the motion that channels do not see; whether there is any.
+
+    As in a gap, a constant error of one sigma over a time T makes (sigma T)^2. T starts with the
+    sample that saturates, or with the first of those that are equal: what grew until that was
+    noticed is added at once. An accepted velocity measurement tells velocity and tilt, so for them
+    T starts again with it; it does not tell the heading.
+
+    Args:
+        reading: (6,) sample, as the IMU has read it, in its axes: f, then w.
+        to_ns: End of the step.
+        told_ns: Stamp of the last accepted velocity measurement.
+    """
+    channels, time_ns = s.channels, s.nav.time_ns
+    any_unseen = False
+    for i in range(6):
+        w.unseen[i] = w.unseen_heading[i] = 0.0
+        frozen = is_frozen(s, c, reading, i)
+        w.frozen[i] = frozen
+        if not (frozen or is_saturated(c, reading, i)):
+            continue
+        sigma = unseen_sigma(c, reading, i)
+        any_unseen = True
+        is_new = channels.unseen_ns[i] == NEVER
+        if is_new:
+            channels.unseen_ns[i] = channels.equal_ns[i] if frozen else channels.imu_ns
+        since_ns = max(channels.unseen_ns[i], told_ns)
+        w.unseen[i] = _growth(time_ns, to_ns, since_ns, is_new)
+        if i >= 3:
+            total = _growth(time_ns, to_ns, channels.unseen_ns[i], is_new)
+            w.unseen_heading[i] = sigma**2 * (total - w.unseen[i])
+        w.unseen[i] *= sigma**2
+    return any_unseen
+
+
+@kernel
+def replace_frozen(s: State, w: Workspace, c: Constants) -> None:
+    """Put what is expected without acceleration and turn in the place of frozen channels.
+
+    The attitude tells the share of gravity, which may be far more than the motion.
+    """
+    strapdown.earth_terms(s, w, c)
+    rotate_back(w.g_b, s.nav.C_n_b, w.g_n)
+    for i in range(3):
+        force, rate = 0.0, 0.0
+        for a in range(3):
+            force += c.C_b_i[a, i] * (-w.g_b[a] - w.f_hat[a])
+            rate -= c.C_b_i[a, i] * w.w_hat[a]
+        for a in range(3):
+            if w.frozen[i]:
+                w.f_hat[a] += c.C_b_i[a, i] * force
+            if w.frozen[3 + i]:
+                w.w_hat[a] += c.C_b_i[a, i] * rate
+
+
+@kernel
+def add_unseen(s: State, w: Workspace, c: Constants) -> None:
+    """Add the densities of the motion that is not seen to those of the input noise."""
+    _add_rotated(w.S_f, c.C_b_i, w.unseen, 0)
+    _add_rotated(w.S_w, c.C_b_i, w.unseen, 3)
+    _add_vertical(w.S_w, s.nav.C_n_b, c.C_b_i, w.unseen_heading)
+
+
+@kernel
+def _add_rotated(Q: Array, C: Array, variances: Array, first: int) -> None:
+    """Q += C diag(variances[first : first + 3]) C^T."""
+    for i in range(3):
+        for j in range(3):
+            for a in range(3):
+                Q[i, j] += C[i, a] * variances[first + a] * C[j, a]
+
+
+@kernel
+def _add_vertical(Q: Array, C_n_b: Array, C_b_i: Array, variances: Array) -> None:
+    """Q += sum of variances[3 + k] (a_k . d)^2 d d^T, for the axes a_k and the vertical d."""
+    for k in range(3):
+        share = 0.0
+        for a in range(3):
+            share += C_b_i[a, k] * C_n_b[2, a]
+        for i in range(3):
+            for j in range(3):
+                Q[i, j] += variances[3 + k] * share**2 * C_n_b[2, i] * C_n_b[2, j]
+
+
+@kernel
+def watch(s: State, c: Constants, sample_ns: int, reading: Array) -> None:
+    """Remember what the channels read, and which of them are to be believed."""
+    channels, counters = s.channels, s.counters
+    saturated, frozen = 0, 0
+    for i in range(6):
+        if is_saturated(c, reading, i):
+            saturated = 1
+        elif is_frozen(s, c, reading, i):
+            frozen = 1
+        else:
+            channels.unseen_ns[i] = NEVER
+        if channels.equal[i] > 0 and reading[i] == channels.reading[i]:
+            channels.equal[i] += 1
+        else:
+            channels.equal[i] = 1
+            channels.equal_ns[i] = sample_ns
+            channels.reading[i] = reading[i]
+    counters.saturated += saturated
+    counters.frozen += frozen
+
+
+def in_doubt(s: State) -> bool:
+    """Whether a channel of the IMU is saturated or frozen."""
+    return bool((s["channels"]["unseen_ns"] != NEVER).any())
+
+
+def seen_rate(s: State, c: Constants, w_ib_b: Array) -> tuple[Array, Array]:
+    """The angular rate without that of frozen channels, and the variance of what is not seen.
+
+    Args:
+        s: State.
+        c: Constants of the filter.
+        w_ib_b: (3,) angular rate [rad/s], base_link axes.
+
+    Returns:
+        (3,) rate and (3, 3) variance, base_link axes.
+    """
+    channels, C = s["channels"], c["C_b_i"]
+    unseen = channels["unseen_ns"][3:] != NEVER
+    frozen = unseen & (channels["equal"][3:] + 1 >= c["frozen"]) & (c["frozen"] > 0)
+    sigma = unseen * [unseen_sigma(c, channels["reading"], i) for i in (3, 4, 5)]
+    w = np.where(frozen, C.T @ s["nav"]["b_w"], C.T @ w_ib_b)
+    return C @ w, C @ np.diag(sigma**2) @ C.T

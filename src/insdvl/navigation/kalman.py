@@ -1,0 +1,219 @@
+"""Kalman algebra for a measurement of m rows: innovation covariance, gain, NIS, Joseph form.
+
+What a measurement is, where it comes from and whether it is believed is decided elsewhere
+(measurements/, gate.py); here are only the equations, the same for every sensor.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from insdvl.arrays import Array, Records
+from insdvl.kernels import kernel
+from insdvl.navigation import error_state
+from insdvl.navigation.error_state import ATTITUDE, VELOCITY
+from insdvl.navigation.measurements.base import Linearised
+
+#: An update is iterated while h bends by more than the mean sigma of R, but not for ever: each
+#: iteration leaves a fraction.
+_BEND = 1.0  # (sigma)^2
+_ITERATIONS = 10
+
+
+@dataclass(frozen=True)
+class Innovated:
+    """A measurement against the filter's prediction of it.
+
+    Attributes:
+        innovation: (m,) measured minus predicted.
+        H: (m, n) Jacobian of the prediction.
+        R: (m, m) covariance of the measurement noise.
+        S: (m, m) covariance of the innovation, H P H^T + R.
+        K: (n, m) gain P H^T S^-1.
+        nis: Normalised innovation squared, nu^T S^-1 nu; nan where S is not positive definite.
+    """
+
+    innovation: Array
+    H: Array
+    R: Array
+    S: Array
+    K: Array
+    nis: float
+
+
+def innovate(P: Array, z_minus_h: Array, H: Array, R: Array) -> Innovated:
+    """Compare a measurement with its prediction.
+
+    Args:
+        P: (N, N) covariance of the error state, of which the first n are in use.
+        z_minus_h: (m,) innovation.
+        H: (m, n) Jacobian.
+        R: (m, m) covariance of the measurement noise.
+    """
+    m, n = H.shape
+    S, K = np.empty((m, m)), np.empty((n, m))
+    nis = _gain(P, H, R, z_minus_h, S, K)
+    return Innovated(z_minus_h, H, R, S, K, nis)
+
+
+@kernel
+def _gain(P: Array, H: Array, R: Array, nu: Array, S: Array, K: Array) -> float:
+    """S = H P H^T + R and K = P H^T S^-1; returns nu^T S^-1 nu, or nan."""
+    m, n = H.shape
+    PHt = np.empty((n, m))
+    for i in range(n):
+        for a in range(m):
+            total = 0.0
+            for k in range(n):
+                total += P[i, k] * H[a, k]
+            PHt[i, a] = total
+    for a in range(m):
+        for b in range(a + 1):
+            total = R[a, b]
+            for k in range(n):
+                total += H[a, k] * PHt[k, b]
+            S[a, b] = total
+            S[b, a] = total
+    S_inv = np.empty((m, m))
+    if not _inverse(S, S_inv):
+        return np.nan
+    for i in range(n):
+        for a in range(m):
+            total = 0.0
+            for b in range(m):
+                total += PHt[i, b] * S_inv[b, a]
+            K[i, a] = total
+    nis = 0.0
+    for a in range(m):
+        total = 0.0
+        for b in range(m):
+            total += S_inv[a, b] * nu[b]
+        nis += nu[a] * total
+    return nis
+
+
+@kernel
+def _inverse(S: Array, S_inv: Array) -> bool:
+    """Inverse of a symmetric matrix (3, 3); False where it is not positive definite."""
+    minor = S[0, 0] * S[1, 1] - S[0, 1] * S[0, 1]
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        for a in range(3):
+            b, d = (a + 1) % 3, (a + 2) % 3
+            S_inv[i, a] = S[j, b] * S[k, d] - S[j, d] * S[k, b]
+    determinant = S[0, 0] * S_inv[0, 0] + S[0, 1] * S_inv[0, 1] + S[0, 2] * S_inv[0, 2]
+    if not (S[0, 0] > 0.0 and minor > 0.0 and determinant > 0.0):
+        return False
+    for i in range(3):
+        for a in range(3):
+            S_inv[i, a] /= determinant
+    return True
+
+
+@kernel
+def _joseph(P: Array, H: Array, K: Array, R: Array) -> None:
+    """P <- (I - K H) P (I - K H)^T + K R K^T, in place."""
+    m, n = H.shape
+    A, B = np.empty((n, n)), np.empty((n, n))
+    for i in range(n):
+        for j in range(n):
+            total = 0.0
+            for a in range(m):
+                total += K[i, a] * H[a, j]
+            B[i, j] = (1.0 if i == j else 0.0) - total
+    for i in range(n):
+        for j in range(n):
+            total = 0.0
+            for k in range(n):
+                total += B[i, k] * P[k, j]
+            A[i, j] = total
+    for i in range(n):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(n):
+                total += A[i, k] * B[j, k]
+            for a in range(m):
+                for b in range(m):
+                    total += K[i, a] * R[a, b] * K[j, b]
+            P[i, j] = total
+            P[j, i] = total
+
+
+@kernel
+def _correct(
+    state: Records, constants: Records, H: Array, K: Array, R: Array, innovation: Array
+) -> None:
+    """Joseph form, then the injection of K nu."""
+    n, m = K.shape
+    dx = np.empty(n)
+    for i in range(n):
+        total = 0.0
+        for a in range(m):
+            total += K[i, a] * innovation[a]
+        dx[i] = total
+    _joseph(state[0].nav.P, H, K, R)
+    error_state.inject(state[0], constants[0], dx)
+
+
+def correct(
+    state: Records,
+    constants: Records,
+    prior: Innovated,
+    relinearise: Callable[[], Linearised],
+    *,
+    iterate: bool,
+) -> tuple[Array, Array]:
+    """Correct a state with a measurement, in place.
+
+    After a long outage the correction can be so large that h is not linear over it: the product
+    of a turn psi and a change of velocity dv is missed. Where what is left of the innovation is
+    not what a linear h leaves, the update is iterated from the same prior with h at the
+    corrected state (Gauss-Newton; Bell and Cathey, IEEE Transactions on Automatic Control
+    38(2), 1993).
+
+    Args:
+        state: (1,) record.
+        constants: (1,) of the filter.
+        prior: The measurement at the predicted state.
+        relinearise: Linearises the measurement again at the state as it is then.
+        iterate: Whether to iterate; the published filter corrects once.
+
+    Returns:
+        The gain (n, m) at the prediction, and the innovation (m,) that is left.
+    """
+    before = state.copy()
+    R, n = prior.R, len(prior.K)
+    P = before["nav"]["P"][0][:n, :n]
+    H, K, innovation = prior.H, prior.K, prior.innovation
+    T = np.eye(n)  # errors of the corrected state, by those of the prior that are left
+    smallest, corrected, used, left = np.inf, state.copy(), (H, K, T), prior.innovation
+    for _ in range(_ITERATIONS):
+        dx = K @ innovation
+        expected = innovation - H @ dx
+        _correct(state, constants, H, K, R, innovation)
+        again = relinearise()
+        bend = again.z_minus_h - expected
+        size = bend @ bend / (np.trace(R) / len(R))
+        if size < smallest:  # should the iteration lead away, the best correction stands
+            smallest, corrected, used = size, state.copy(), (H, K, T)
+            left = again.z_minus_h
+        if size < _BEND or not np.isfinite(size) or not iterate:
+            break
+        T = np.eye(n)
+        T[VELOCITY, ATTITUDE] = error_state.cross_matrix(dx[VELOCITY])
+        H = again.H @ T
+        S = H @ P @ H.T + R
+        if not np.linalg.det(S) > 0.0:  # lost in rounding
+            break
+        K = np.ascontiguousarray(np.linalg.solve(S, H @ P).T)
+        innovation = again.z_minus_h + H @ dx
+        state[:] = before
+    state[:] = corrected
+    H, K, T = used
+    if T[VELOCITY, ATTITUDE].any():
+        # Joseph form with T inside, where large numbers cancel before they are squared.
+        A, B = T @ (np.eye(n) - K @ H), T @ K
+        P = A @ P @ A.T + B @ R @ B.T
+        state["nav"]["P"][0][:n, :n] = (P + P.T) / 2
+    return K, left

@@ -1,0 +1,1 @@
+"""What sensors measure: one file per kind, each by the protocol of base.py."""

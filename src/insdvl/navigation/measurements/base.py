@@ -1,0 +1,198 @@
+"""What a measurement is: the protocol that every sensor follows.
+
+A sensor brings one file with
+
+- its parameters, a dataclass derived from `SensorParameters`;
+- its measurement, a frozen event derived from `events.Measurement`;
+- its model, derived from `SensorModel`: the prediction of the measurement and its Jacobian;
+- where it needs them, optional error states, as `Block`s.
+
+The order of events, the cut of the IMU, the gate, the Kalman algebra, the report, the state file
+and the diagnostics are common and know m rows, not the sensor. docs/how-to/extending.md shows a
+whole example.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Generic, TypeVar
+
+import numpy as np
+
+from insdvl.arrays import Array, Records
+from insdvl.navigation.events import Measurement
+from insdvl.navigation.geometry.frames import Convention
+from insdvl.navigation.state import CORE, State
+
+_Event = TypeVar("_Event", bound=Measurement)
+
+
+@dataclass(frozen=True)
+class Block:
+    """Optional error states: independent first-order Gauss-Markov processes, or constants.
+
+    Attributes:
+        name: Unique among all blocks.
+        std: Initial and stationary sigma of each state; their number is the size of the block.
+        time_constant: Correlation time [s]; infinite for constants.
+        initial: Value of each state at the start.
+    """
+
+    name: str
+    std: tuple[float, ...]
+    time_constant: float = np.inf
+    initial: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """What a sensor's model needs to know of the vehicle and of the filter.
+
+    Attributes:
+        axes: Convention of the parameters and of the stream.
+        C_b_i: (3, 3) rotation from IMU to base_link axes, forward-right-down.
+        l_b_imu: (3,) position of the IMU in base_link [m], forward-right-down.
+        invariant: Whether the error state is the invariant one.
+        n: Number of error states in use.
+        blocks: Indices of each optional block that is in use.
+        constants: (1,) record of the filter.
+        workspace: (1,) record of the filter; `g_n` is gravity at the last linearised state.
+    """
+
+    axes: Convention
+    C_b_i: Array
+    l_b_imu: Array
+    invariant: bool
+    n: int
+    blocks: Mapping[str, slice]
+    constants: Records
+    workspace: Records
+
+    def optional(self, block: str) -> slice:
+        """Indices of a block in the nominal ``optional`` states."""
+        at = self.blocks[block]
+        return slice(at.start - CORE, at.stop - CORE)
+
+    def lever_arm(self, position: tuple[float, ...]) -> Array:
+        """(3,) from the IMU to a sensor [m], base_link axes, forward-right-down.
+
+        Args:
+            position: Of the sensor in base_link, in the axes of the parameters.
+        """
+        return self.axes.body @ np.array(position) - self.l_b_imu
+
+
+@dataclass(frozen=True)
+class Turn:
+    """The turn rate at a measurement.
+
+    Attributes:
+        w_ib_b: (3,) mean angular rate up to the stamp [rad/s], base_link axes, with its bias and
+            without that of channels that do not show the motion.
+        covariance: (3, 3) of that mean [(rad/s)^2].
+    """
+
+    w_ib_b: Array
+    covariance: Array
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """A measurement at a state: z - h = H dx + noise.
+
+    Attributes:
+        z_minus_h: (m,) measured minus predicted.
+        H: (m, n) Jacobian of the prediction with respect to the error state.
+        R: (m, m) covariance of the measurement noise.
+    """
+
+    z_minus_h: Array
+    H: Array
+    R: Array
+
+
+class SensorModel(ABC, Generic[_Event]):
+    """How one kind of measurement follows from the state.
+
+    Attributes:
+        rows: Number of rows m.
+        tells_velocity: Whether it tells velocity and, with the IMU, tilt: an adaptive process noise
+            learns from it, and the doubt about IMU channels starts again with it.
+        turn_average_ns: Time over which the turn rate is averaged for it; 0 takes one sample.
+    """
+
+    rows: ClassVar[int]
+    tells_velocity: ClassVar[bool] = False
+    turn_average_ns: int = 0
+
+    @abstractmethod
+    def reading(self, event: _Event) -> Array:
+        """(m,) what was read, to tell whether it repeats the last one."""
+
+    @abstractmethod
+    def refusal(self, s: State, event: _Event, last: Array) -> str:
+        """Why the measurement says by itself that it is none; empty where it does not.
+
+        Args:
+            s: State before the measurement.
+            event: The measurement.
+            last: (m,) the reading before, nan before the first.
+        """
+
+    @abstractmethod
+    def linearise(self, state: Records, event: _Event, turn: Turn) -> Linearised:
+        """The measurement at a state, which is at its stamp.
+
+        Args:
+            state: (1,) record.
+            event: The measurement.
+            turn: The turn rate there.
+        """
+
+    @abstractmethod
+    def drift(self, s: State, seconds: float) -> Array:
+        """Covariance (m, m) of what the prediction may have drifted over a time by the IMU alone.
+
+        In the coordinates of the innovation; the white noise of the measurement is not in it.
+        """
+
+    @abstractmethod
+    def inflate(self, s: State, innovation: Array, seconds: float | None) -> None:
+        """Doubt what the measurement tells of, by as much as the innovation.
+
+        Args:
+            s: State; its covariance becomes larger.
+            innovation: (m,) of the measurement.
+            seconds: Since the last accepted one; None where that explains nothing.
+        """
+
+    @abstractmethod
+    def restart(self, s: State, innovation: Array, R: Array) -> None:
+        """Set what the measurement tells of from this measurement alone.
+
+        Args:
+            s: State; becomes what the measurement says, independent of all else.
+            innovation: (m,) of the measurement.
+            R: (m, m) covariance of its noise.
+        """
+
+
+@dataclass(frozen=True)
+class SensorParameters:
+    """Parameters of a sensor; a field of `FilterParameters` whose name is the measurement's.
+
+    Attributes:
+        EVENT: Class of its measurements.
+        ROOM: Largest size of each optional block that it may bring, by name.
+    """
+
+    EVENT: ClassVar[type[Measurement]]
+    ROOM: ClassVar[Mapping[str, int]] = {}
+
+    def blocks(self) -> tuple[Block, ...]:
+        """The optional blocks that are in use."""
+        return ()
+
+    def model(self, vehicle: Vehicle) -> "SensorModel[Measurement]":
+        """The sensor's model in a vehicle."""
+        raise TypeError(f"{type(self).__name__} has no model")

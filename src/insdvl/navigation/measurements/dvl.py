@@ -1,0 +1,274 @@
+"""The Doppler velocity log: velocity over ground, in the axes of the instrument."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from insdvl.arrays import Array, Records
+from insdvl.kernels import kernel
+from insdvl.navigation import error_state
+from insdvl.navigation.error_state import (
+    ACCELEROMETER_BIAS,
+    ATTITUDE,
+    GYROSCOPE_BIAS,
+    VELOCITY,
+)
+from insdvl.navigation.events import MAX_SPEED, MAX_VARIANCE, NS, Limits, Measurement
+from insdvl.navigation.geometry.frames import rotation_from_rpy
+from insdvl.navigation.geometry.rotation import (
+    cross,
+    product,
+    product_transposed,
+    rotate,
+    rotate_back,
+    skew,
+)
+from insdvl.navigation.measurements.base import (
+    Block,
+    Linearised,
+    SensorModel,
+    SensorParameters,
+    Turn,
+    Vehicle,
+)
+from insdvl.navigation.state import State
+from insdvl.navigation.strapdown import turn_rate
+from insdvl.parameters.declaration import lever_arm, mount, parameter
+
+#: Most tilt, one sigma [rad], that an inflation takes for possible.
+LARGEST_TILT_DOUBT = 0.5
+
+# First elements of the blocks, for the kernel.
+_VELOCITY, _ATTITUDE, _GYROSCOPE_BIAS = VELOCITY.start, ATTITUDE.start, GYROSCOPE_BIAS.start
+
+
+@dataclass(frozen=True, slots=True)
+class Dvl(Measurement):
+    """Velocity over ground at the DVL, in DVL axes.
+
+    Attributes:
+        v_d: (3,) velocity [m/s].
+        R: (3, 3) covariance [(m/s)^2]; None takes the parameter ``dvl.noise_std``.
+    """
+
+    v_d: Array
+    R: Array | None = None
+
+    name = "dvl"
+    kind = Measurement.FIRST
+
+    def payload(self) -> bytes:
+        """Velocity and covariance."""
+        return self.v_d.tobytes() + (b"" if self.R is None else self.R.tobytes())
+
+    def limits(self) -> Limits:
+        """What no vehicle does."""
+        return (self.v_d, MAX_SPEED), (self.R, MAX_VARIANCE)
+
+
+@dataclass(frozen=True)
+class DvlParameters(SensorParameters):
+    """The real DVL and the error that is modelled of it."""
+
+    frame_id: str = parameter(
+        "", "A measurement of any other frame_id is refused as 'wrong_frame'; empty for any."
+    )
+    mount: tuple[float, ...] = mount("DVL")
+    lever_arm: tuple[float, ...] = lever_arm("DVL")
+    noise_std: tuple[float, ...] = parameter(
+        (0.1, 0.1, 0.1),
+        "Noise of each velocity component, one sigma; a covariance in the message replaces it.",
+        unit="m/s",
+        low=1e-6,
+        length=3,
+    )
+    lock_check: bool = parameter(
+        True,
+        "Refuse a velocity of exactly zero ('no_lock') and one with exactly the bits of the "
+        "measurement before it ('repeated'): what a DVL without bottom lock reports.",
+    )
+    gyro_average: float = parameter(
+        0.25,
+        "The turn rate for the lever arm is the mean over this time, ending at the stamp.",
+        unit="s",
+        low=0.0,
+        high=10.0,
+    )
+    bias_model: str = parameter(
+        "none",
+        "Model of the slowly varying DVL error, three more states when it is on.",
+        choices=("none", "gauss_markov"),
+    )
+    bias_std: float = parameter(
+        0.01, "Stationary sigma of the first-order Gauss-Markov error.", unit="m/s", low=0.0
+    )
+    bias_time_constant: float = parameter(
+        10.0, "Correlation time of the first-order Gauss-Markov error.", unit="s", above=0.0
+    )
+
+    EVENT = Dvl
+    ROOM: ClassVar[Mapping[str, int]] = {"dvl_error": 3}
+
+    def blocks(self) -> tuple[Block, ...]:
+        """The DVL's error, where it is modelled: real ones are correlated over seconds."""
+        if self.bias_model == "none":
+            return ()
+        return (Block("dvl_error", (self.bias_std,) * 3, self.bias_time_constant),)
+
+    def model(self, vehicle: Vehicle) -> SensorModel[Dvl]:  # type: ignore[override]
+        """The DVL in a vehicle."""
+        return DvlModel(self, vehicle)
+
+
+class DvlModel(SensorModel[Dvl]):
+    """Predicts what the DVL measures.
+
+    Args:
+        parameters: Of the DVL.
+        vehicle: That carries it.
+    """
+
+    rows = 3
+    tells_velocity = True
+
+    def __init__(self, parameters: DvlParameters, vehicle: Vehicle) -> None:
+        self._vehicle = vehicle
+        axes = vehicle.axes
+        self._C_b_d = axes.body_rotation(rotation_from_rpy(np.array(parameters.mount)))
+        self._C_d_b = np.ascontiguousarray(self._C_b_d.T)
+        self._l_b = vehicle.lever_arm(parameters.lever_arm)
+        self._l_x = self._C_b_d.T @ error_state.cross_matrix(self._l_b)
+        self._R = np.diag(np.square(parameters.noise_std))
+        self._lock_check = parameters.lock_check
+        self._error = vehicle.blocks.get("dvl_error")
+        self.turn_average_ns = round(parameters.gyro_average * NS)
+
+    def reading(self, event: Dvl) -> Array:
+        """The velocity."""
+        return event.v_d
+
+    def refusal(self, s: State, event: Dvl, last: Array) -> str:
+        """``no_lock`` or ``repeated``: what a DVL without bottom lock reports."""
+        if not self._lock_check:
+            return ""
+        if not event.v_d.any():
+            return "no_lock"
+        return "repeated" if (event.v_d == last).all() else ""
+
+    def linearise(self, state: Records, event: Dvl, turn: Turn) -> Linearised:
+        """h = C_d_b (C_b_n v_n + w_nb_b x l) + b_d,  w_nb_b = w_ib_b - b_w - C_b_n w_in_n.
+
+        H = C_d_b [ C_b_n | C_b_n [v x] (ned) or 0 (invariant) | 0 | [l x] | 0 ], the identity in
+        the block of the DVL's error, and [l x] C_b_n [w_in x] in the attitude column, from the
+        Earth rate in w_nb (docs/explanation/error-state.md). The turn rate is measured too: R has
+        its share [l x] Cov(w) [l x]^T.
+        """
+        vehicle = self._vehicle
+        R = (self._R if event.R is None else event.R) + self._l_x @ turn.covariance @ self._l_x.T
+        z_minus_h, H = np.empty(3), np.zeros((3, vehicle.n))
+        _predict(
+            state,
+            vehicle.workspace,
+            vehicle.constants,
+            self._C_d_b,
+            self._l_b,
+            turn.w_ib_b,
+            z_minus_h,
+            H,
+        )
+        z_minus_h = event.v_d - z_minus_h
+        if self._error is not None:
+            H[:, self._error] = np.eye(3)
+            z_minus_h -= state[0]["nav"]["optional"][vehicle.optional("dvl_error")]
+        return Linearised(z_minus_h, H, (R + R.T) / 2)
+
+    def drift(self, s: State, seconds: float) -> Array:
+        """Drift of the velocity in DVL axes by tilt, accelerometer bias and the samples' noise."""
+        workspace, constants = self._vehicle.workspace[0], self._vehicle.constants[0]
+        C, P, Q_f = s["nav"]["C_n_b"], s["nav"]["P"], s["noise"]["Q_f"]
+        g_x = error_state.cross_matrix(workspace["g_n"])
+        acceleration = g_x @ P[ATTITUDE, ATTITUDE] @ g_x.T
+        acceleration += C @ P[ACCELEROMETER_BIAS, ACCELEROMETER_BIAS] @ C.T
+        drift = seconds**2 * acceleration + seconds * constants["density"] * (C @ Q_f @ C.T)
+        C_n_d = C @ self._C_b_d
+        return C_n_d.T @ drift @ C_n_d
+
+    def inflate(self, s: State, innovation: Array, seconds: float | None) -> None:
+        """Doubt the velocity, and the tilt that may have led it astray since it last fitted.
+
+        A tilt error psi drives the velocity by [g x] psi; the one that makes the innovation in the
+        time that has passed is one sigma.
+        """
+        n = self._vehicle.n
+        P = s["nav"]["P"][:n, :n]
+        variance = float(innovation @ innovation)
+        P[VELOCITY, VELOCITY] += np.eye(3) * variance
+        if seconds is not None:
+            g_n = self._vehicle.workspace[0]["g_n"]
+            sigma = min(np.sqrt(variance) / (np.linalg.norm(g_n) * seconds), LARGEST_TILT_DOUBT)
+            A = np.zeros((n, 2))  # of the turns about north and east
+            A[ATTITUDE] = np.eye(3)[:, :2]
+            A[VELOCITY] = seconds * error_state.cross_matrix(g_n)[:, :2]
+            P += sigma**2 * (A @ A.T)
+
+    def restart(self, s: State, innovation: Array, R: Array) -> None:
+        """The velocity becomes the measured one, independent of all else.
+
+        It is as uncertain as the two are apart, since one of them is wrong.
+        """
+        vehicle, nav = self._vehicle, s["nav"]
+        n = vehicle.n
+        nav["v_n"] += nav["C_n_b"] @ self._C_b_d @ innovation
+        P = nav["P"][:n, :n]
+        P[VELOCITY, :] = 0.0
+        P[:, VELOCITY] = 0.0
+        T = error_state.from_ordinary_errors(
+            nav["C_n_b"], nav["v_n"], invariant=vehicle.invariant, velocity_frame="body", n=n
+        )
+        doubt = R + np.outer(innovation, innovation)
+        P[VELOCITY, VELOCITY] = self._C_b_d @ doubt @ self._C_b_d.T
+        P[:] = T @ P @ T.T
+        P[:] = (P + P.T) / 2
+
+
+@kernel
+def _predict(
+    state: Records,
+    workspace: Records,
+    constants: Records,
+    C_d_b: Array,
+    l_b: Array,
+    w_ib_b: Array,
+    h: Array,
+    H: Array,
+) -> None:
+    """h (3,) without the DVL's own error, and its Jacobian H (3, n) in the first 15 columns."""
+    s, w, c = state[0], workspace[0], constants[0]
+    nav = s.nav
+    M, N, a_x = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    rate, w_nb_b, v_b, v_l = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for i in range(3):
+        rate[i] = w_ib_b[i] - nav.b_w[i]
+    turn_rate(w_nb_b, s, w, c, rate)
+    rotate_back(v_b, nav.C_n_b, nav.v_n)
+    cross(v_l, w_nb_b, l_b)
+    for i in range(3):
+        v_l[i] += v_b[i]
+    rotate(h, C_d_b, v_l)
+
+    product_transposed(M, C_d_b, nav.C_n_b)
+    error_state.set_block(H, 0, _VELOCITY, 1.0, M)
+    skew(a_x, l_b)
+    product(N, C_d_b, a_x)
+    error_state.set_block(H, 0, _GYROSCOPE_BIAS, 1.0, N)
+    product_transposed(M, N, nav.C_n_b)
+    skew(a_x, w.w_in_n)
+    product(N, M, a_x)
+    error_state.set_block(H, 0, _ATTITUDE, 1.0, N)
+    if not c.invariant:
+        product_transposed(M, C_d_b, nav.C_n_b)
+        skew(a_x, nav.v_n)
+        product(N, M, a_x)
+        error_state.add_block(H, 0, _ATTITUDE, 1.0, N)

@@ -1,0 +1,331 @@
+"""How the state starts: where the origin is, the initial state, its covariance P0, levelling."""
+
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from insdvl.arrays import Array, Records
+from insdvl.files import shown
+from insdvl.kernels import kernel
+from insdvl.navigation import channels, error_state, strapdown
+from insdvl.navigation.error_state import (
+    ACCELEROMETER_BIAS,
+    ATTITUDE,
+    GYROSCOPE_BIAS,
+    POSITION,
+    VELOCITY,
+)
+from insdvl.navigation.events import NS, Imu, Initial, Origin
+from insdvl.navigation.geometry.earth import gravity
+from insdvl.navigation.geometry.frames import rotation_from_rpy
+from insdvl.navigation.measurements.base import Block, Vehicle
+from insdvl.navigation.state import NEVER, State
+from insdvl.parameters.declaration import ParameterError, parameter
+
+#: What the mean specific force at rest may differ from gravity, as a fraction of it.
+LEVEL_TOLERANCE = 0.05
+
+#: A topic's name as ROS 2 takes it.
+_TOPIC = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+#: Topics of the filter that have another type or another meaning, and its own output.
+_NO_INITIAL_TOPIC = (
+    "imu/data_raw",
+    "dvl/velocity",
+    "dvl/velocity_cov",
+    "process_noise",
+    "ground_truth/process_noise",
+    "gps/fix",
+    "set_odometry",
+    "odometry/filtered",
+)
+
+
+@dataclass(frozen=True)
+class InitialParameters:
+    """The state at the start and its uncertainty."""
+
+    mode: str = parameter(
+        "parameters",
+        "How the filter starts: from these values at the first IMU stamp; from the first message "
+        "of initial.topic; levelled with the accelerometer; on set_odometry only.",
+        choices=("parameters", "topic", "levelling", "set_odometry"),
+    )
+    topic: str = parameter("ground_truth/odometry", "Odometry topic of the mode 'topic'.")
+    levelling_time: float = parameter(
+        1.0, "Length of the mean specific force of the mode 'levelling'.", unit="s", above=0.0
+    )
+    position: tuple[float, ...] = parameter(
+        (0.0, 0.0, 0.0), "Position of base_link in odom.", unit="m", length=3
+    )
+    rpy: tuple[float, ...] = parameter(
+        (0.0, 0.0, 0.0),
+        "Roll, pitch, yaw of base_link in odom; 'levelling' uses the yaw only.",
+        unit="rad",
+        low=-2 * math.pi,
+        high=2 * math.pi,
+        length=3,
+    )
+    velocity: tuple[float, ...] = parameter(
+        (0.0, 0.0, 0.0), "Velocity of base_link, in initial.velocity_frame.", unit="m/s", length=3
+    )
+    velocity_frame: str = parameter(
+        "body",
+        "Axes in which the velocity and its uncertainty are declared.",
+        choices=("body", "nav"),
+    )
+    accelerometer_bias: tuple[float, ...] = parameter(
+        (0.0, 0.0, 0.0), "Bias of each axis, in IMU axes.", unit="m/s^2", length=3
+    )
+    gyroscope_bias: tuple[float, ...] = parameter(
+        (0.0, 0.0, 0.0), "Bias of each axis, in IMU axes.", unit="rad/s", length=3
+    )
+    velocity_std: float = parameter(0.1, "One sigma of each axis.", unit="m/s", low=0.0)
+    tilt_std: float = parameter(
+        math.radians(0.5), "One sigma of roll and pitch.", unit="rad", low=0.0
+    )
+    heading_std: float = parameter(
+        math.radians(1.0), "One sigma of the heading.", unit="rad", low=0.0
+    )
+    accelerometer_bias_std: float = parameter(
+        1e-3, "One sigma of each axis.", unit="m/s^2", low=0.0
+    )
+    gyroscope_bias_std: float = parameter(1e-5, "One sigma of each axis.", unit="rad/s", low=0.0)
+    position_std: float = parameter(0.1, "One sigma of each axis.", unit="m", low=0.0)
+
+    @property
+    def attitude_std(self) -> tuple[float, float, float]:
+        """One sigma of the turns about north, east and down [rad]."""
+        return self.tilt_std, self.tilt_std, self.heading_std
+
+    def __post_init__(self) -> None:
+        if not _TOPIC.fullmatch(self.topic) or self.topic.lstrip("/") in _NO_INITIAL_TOPIC:
+            raise ParameterError(
+                "parameter 'initial.topic' must be a topic that is none of "
+                f"{', '.join(_NO_INITIAL_TOPIC)}, got {shown(self.topic)}"
+            )
+
+
+@dataclass(frozen=True)
+class OriginParameters:
+    """Where on the Earth the origin of odom is."""
+
+    source: str = parameter(
+        "parameters",
+        "Whether odom's origin on the Earth is given here or is the first fix on gps/fix.",
+        choices=("parameters", "topic"),
+    )
+    latitude_deg: float = parameter(
+        32.0, "Geodetic latitude of the origin.", unit="deg", low=-90.0, high=90.0
+    )
+    longitude_deg: float = parameter(
+        34.0, "Longitude of the origin.", unit="deg", low=-180.0, high=360.0
+    )
+    height: float = parameter(
+        0.0, "Height of the origin above the ellipsoid.", unit="m", low=-12_000.0, high=100_000.0
+    )
+
+
+@kernel
+def _set_turn_rate(state: Records, workspace: Records, constants: Records, w_ib_b: Array) -> None:
+    s = state[0]
+    strapdown.turn_rate(s.nav.w_nb_b, s, workspace[0], constants[0], w_ib_b)
+
+
+@kernel
+def _watch(state: Records, constants: Records, sample_ns: int, reading: Array) -> None:
+    channels.watch(state[0], constants[0], sample_ns, reading)
+
+
+def locate(s: State, origin: Origin) -> None:
+    """Odom's origin on the Earth becomes known; the first one counts."""
+    nav = s["nav"]
+    if np.isnan(nav["lat_0"]):
+        nav["lat_0"], nav["lon_0"], nav["h_0"] = origin.lat, origin.lon, origin.h
+
+
+def sample_variance_w(s: State, vehicle: Vehicle) -> Array:
+    """Variance (3, 3) of one angular rate sample [(rad/s)^2], whatever Q's convention is."""
+    c = vehicle.constants[0]
+    return s["noise"]["Q_w"] * (c["density"] * c["rate"])
+
+
+class Start:
+    """Starts a state: on an initial state, from the parameters, or by levelling.
+
+    Args:
+        parameters: Of the initial state.
+        origin: Where odom's origin is on the Earth.
+        vehicle: What starts.
+        blocks: Optional error states that are in use.
+    """
+
+    def __init__(
+        self,
+        parameters: InitialParameters,
+        origin: OriginParameters,
+        vehicle: Vehicle,
+        blocks: Iterable[Block],
+    ) -> None:
+        self._parameters = parameters
+        self._origin = origin
+        self._vehicle = vehicle
+        self._blocks = tuple(blocks)
+        axes = vehicle.axes
+        in_body = parameters.velocity_frame == "body"
+        self._initial = Initial(
+            stamp_ns=0,
+            C_n_b=axes.attitude(rotation_from_rpy(np.array(parameters.rpy))),
+            p_n=axes.nav @ np.array(parameters.position),
+            v=(axes.body if in_body else axes.nav) @ np.array(parameters.velocity),
+            velocity_frame=parameters.velocity_frame,
+        )
+
+    def locate_from_parameters(self, s: State) -> None:
+        """Set the origin, where the parameters tell it."""
+        origin = self._origin
+        if origin.source == "parameters":
+            latitude, longitude = np.radians([origin.latitude_deg, origin.longitude_deg])
+            locate(s, Origin(0, float(latitude), float(longitude), origin.height))
+
+    def initialise(self, state: Records, initial: Initial, stamp_ns: int, w_ib_b: Array) -> bool:
+        """The state becomes `initial`, its covariance P0 mapped to the model's coordinates.
+
+        Without an origin there is no gravity to navigate with: that is counted, and nothing starts.
+
+        Args:
+            state: (1,) record.
+            initial: What it becomes.
+            stamp_ns: When.
+            w_ib_b: (3,) angular rate at that time [rad/s], base_link axes, for the IMU's lever arm.
+
+        Returns:
+            Whether the state is initialised now.
+        """
+        s, vehicle, parameters = state[0], self._vehicle, self._parameters
+        nav, imu = s["nav"], s["channels"]
+        if np.isnan(nav["lat_0"]):
+            s["counters"]["without_origin"] += 1
+            return False
+        C, l_b = initial.C_n_b, vehicle.l_b_imu
+        in_body = initial.velocity_frame == "body"
+        nav["b_f"] = self._bias(parameters.accelerometer_bias)
+        nav["b_w"] = self._bias(parameters.gyroscope_bias)
+        nav["optional"] = 0.0
+        nav["C_n_b"], nav["p_n"] = C, initial.p_n + C @ l_b
+        nav["v_n"] = C @ initial.v if in_body else initial.v
+        _set_turn_rate(state, vehicle.workspace, vehicle.constants, w_ib_b - nav["b_w"])
+        v_arm = C @ np.cross(nav["w_nb_b"], l_b)  # of the IMU against base_link
+        nav["v_n"] += v_arm
+
+        n = vehicle.n
+        P = np.zeros((n, n))
+        P[VELOCITY, VELOCITY] = _or_isotropic(initial.P_v, parameters.velocity_std)
+        P[ATTITUDE, ATTITUDE] = (
+            np.diag(np.square(parameters.attitude_std)) if initial.P_psi is None else initial.P_psi
+        )
+        P[ACCELEROMETER_BIAS, ACCELEROMETER_BIAS] = np.eye(3) * parameters.accelerometer_bias_std**2
+        P[GYROSCOPE_BIAS, GYROSCOPE_BIAS] = np.eye(3) * parameters.gyroscope_bias_std**2
+        P[POSITION, POSITION] = _or_isotropic(initial.P_p, parameters.position_std)
+        for block in self._blocks:
+            at = vehicle.blocks[block.name]
+            P[at, at] = np.diag(np.square(block.std))
+            if block.initial:
+                nav["optional"][vehicle.optional(block.name)] = block.initial
+        T = error_state.from_ordinary_errors(
+            C,
+            nav["v_n"],
+            invariant=vehicle.invariant,
+            velocity_frame=initial.velocity_frame,
+            n=n,
+        )
+        # From base_link to the IMU: its arm turns with the attitude, at the rate of a noisy sample.
+        T[POSITION, ATTITUDE] = -error_state.cross_matrix(C @ l_b)
+        if not in_body:
+            T[VELOCITY, ATTITUDE] -= error_state.cross_matrix(v_arm)
+        T[VELOCITY, GYROSCOPE_BIAS] = C @ error_state.cross_matrix(l_b)
+        P = T @ P @ T.T
+        arm_rate = T[VELOCITY, GYROSCOPE_BIAS]
+        P[VELOCITY, VELOCITY] += arm_rate @ sample_variance_w(s, vehicle) @ arm_rate.T
+        nav["P"] = 0.0
+        nav["P"][:n, :n] = (P + P.T) / 2
+        if imu["imu_ns"] == NEVER:
+            imu["imu_ns"] = stamp_ns  # samples are missing from here on: a long wait is a gap
+        nav["time_ns"], nav["initialised"] = stamp_ns, 1
+        # What a channel has not shown before is in the initial state.
+        imu["unseen_ns"], imu["equal_ns"] = NEVER, np.maximum(imu["equal_ns"], stamp_ns)
+        return True
+
+    def _bias(self, values: tuple[float, ...]) -> Array:
+        """A bias of the parameters, in IMU axes of their convention, in base_link axes (3,)."""
+        vehicle = self._vehicle
+        return vehicle.C_b_i @ (vehicle.axes.body @ np.array(values))
+
+    def see(self, state: Records, sample: Imu, reading: Array) -> bool:
+        """An uninitialised state sees a sample (base_link axes), and may start from it.
+
+        Args:
+            state: (1,) record.
+            sample: The sample.
+            reading: (6,) the same as the IMU has read it, in its axes: f, then w.
+
+        Returns:
+            Whether the state is initialised now.
+        """
+        s, mode, started = state[0], self._parameters.mode, False
+        _watch(state, self._vehicle.constants, sample.stamp_ns, reading)
+        if not np.isnan(s["nav"]["lat_0"]):
+            if mode == "parameters":
+                started = self.initialise(state, self._initial, sample.stamp_ns, sample.w_ib_b)
+            elif mode == "levelling":
+                started = self._level(state, sample)
+        s["channels"]["imu_ns"] = s["nav"]["time_ns"] = sample.stamp_ns
+        return started
+
+    def _level(self, state: Records, sample: Imu) -> bool:
+        """Collect the specific force at rest, f_b = -C_b_n g_n, then start from its direction.
+
+        It restarts behind a gap, and where the mean differs from gravity.
+        """
+        s, vehicle = state[0], self._vehicle
+        start, nav = s["start"], s["nav"]
+        since_ns = sample.stamp_ns - s["channels"]["imu_ns"]
+        if start["level_count"] and since_ns > vehicle.constants[0]["gap_ns"]:
+            self._restart_levelling(s)
+        if start["level_count"] == 0:
+            start["level_ns"] = sample.stamp_ns
+        start["level_f"] += sample.f_b
+        start["level_count"] += 1
+        duration = round(self._parameters.levelling_time * NS)
+        if sample.stamp_ns - start["level_ns"] < duration:
+            return False
+        f_b = start["level_f"] / start["level_count"] - self._bias(
+            self._parameters.accelerometer_bias
+        )
+        g = gravity(nav["lat_0"], nav["h_0"])
+        if abs(np.hypot.reduce(f_b) - g) > LEVEL_TOLERANCE * g:  # cannot overflow
+            self._restart_levelling(s)
+            return False
+        roll = np.arctan2(-f_b[1], -f_b[2])
+        pitch = np.arctan2(f_b[0], np.hypot(f_b[1], f_b[2]))
+        C = self._initial.C_n_b
+        heading = np.arctan2(C[1, 0], C[0, 0])
+        initial = Initial(
+            stamp_ns=sample.stamp_ns,
+            C_n_b=rotation_from_rpy(np.array([roll, pitch, heading])),
+            p_n=self._initial.p_n,
+            v=self._initial.v,
+            velocity_frame=self._initial.velocity_frame,
+        )
+        return self.initialise(state, initial, sample.stamp_ns, sample.w_ib_b)
+
+    @staticmethod
+    def _restart_levelling(s: State) -> None:
+        s["start"]["level_f"], s["start"]["level_count"] = 0.0, 0
+        s["counters"]["not_level"] += 1
+
+
+def _or_isotropic(P: Array | None, std: float) -> Array:
+    return np.eye(3) * std**2 if P is None else P

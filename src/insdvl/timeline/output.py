@@ -1,0 +1,100 @@
+"""What a fold makes publishable: odometry, updates, time jumps; and the result of a recording."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from insdvl.arrays import Records, Stamps
+from insdvl.navigation.filter import Filter, UpdateReport
+from insdvl.navigation.odometry import Odometry, odometry
+from insdvl.timeline.entries import Entry
+from insdvl.timeline.jumps import TimeJump
+
+
+@dataclass(frozen=True, slots=True)
+class AppliedUpdate:
+    """A measurement and what the filter did with it."""
+
+    stamp_ns: int
+    report: UpdateReport
+
+
+Output = Odometry | AppliedUpdate | TimeJump
+
+
+@dataclass(frozen=True)
+class FoldResult:
+    """A recording, folded.
+
+    Attributes:
+        filter: The filter, for `odometry.odometry(filter, states, k)`.
+        states: (N,) state records at the samples' stamps, after the updates.
+        updates: What was done with each measurement, in the order of stamps.
+        counts: Counters at the end.
+        refused: Events that were not used, by reason.
+    """
+
+    filter: Filter
+    states: Records
+    updates: list[AppliedUpdate]
+    counts: dict[str, int]
+    refused: dict[str, int]
+
+
+@dataclass(frozen=True, slots=True)
+class LeftTime:
+    """A time that was left, and what of it is not yet published.
+
+    Attributes:
+        jump: With which it was left.
+        result: What it came to.
+        stamps_ns: (N,) stamps of its samples.
+        unpublished: Measurements.
+        published_ns: Newest stamp that was published.
+    """
+
+    jump: TimeJump
+    result: FoldResult
+    stamps_ns: Stamps
+    unpublished: list[Entry]
+    published_ns: int
+
+    def outputs(self) -> list[Output]:
+        """All that is left to publish, then the jump: nothing can come late any more."""
+        done, _ = split(self.unpublished, self.jump.from_ns)
+        first, last = between(self.stamps_ns, self.published_ns, self.jump.from_ns)
+        outputs = outputs_of(self.result.filter, self.result.states, first, last, done)
+        return [*outputs, self.jump]
+
+
+def applied(entries: list[Entry]) -> list[AppliedUpdate]:
+    """The measurements among events, with what was done with them."""
+    return [
+        AppliedUpdate(entry.event.stamp_ns, entry.report)
+        for entry in entries
+        if entry.report is not None
+    ]
+
+
+def split(entries: list[Entry], until_ns: int) -> tuple[list[Entry], list[Entry]]:
+    """Those that were applied and are not after a stamp, and the others."""
+    done = [e for e in entries if e.report is not None and e.event.stamp_ns <= until_ns]
+    return done, [e for e in entries if e.report is None or e.event.stamp_ns > until_ns]
+
+
+def between(stamps_ns: Stamps, after_ns: int, until_ns: int) -> tuple[int, int]:
+    """Indices first <= k < last of the stamps after one time and up to another."""
+    first, last = (int(np.searchsorted(stamps_ns, t, side="right")) for t in (after_ns, until_ns))
+    return first, max(first, last)
+
+
+def outputs_of(
+    filter_: Filter, states: Records, first: int, last: int, entries: list[Entry]
+) -> list[Output]:
+    """Odometry of the states first <= k < last, and the updates, in the order of stamps."""
+    outputs: list[Odometry | AppliedUpdate] = [*applied(entries)]
+    for k in range(first, last):
+        if states[k]["nav"]["initialised"]:
+            outputs.append(odometry(filter_, states, k))
+    outputs.sort(key=lambda output: output.stamp_ns)
+    return [*outputs]

@@ -1,0 +1,203 @@
+"""The samples of the IMU in the order of their stamps, and the state behind each of them."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl.arrays import Array, Records, Stamps
+from insdvl.kernels import kernel
+from insdvl.navigation.events import Imu
+from insdvl.navigation.geometry.rotation import rotate
+
+
+@kernel
+def mean_rate(
+    stamps_ns: Stamps, w_ib_b: Array, k: int, end_ns: int, length_ns: int, mean: Array
+) -> int:
+    """Mean of the samples over an interval, each weighted by its share of it.
+
+    Args:
+        stamps_ns: (N,) ends of the samples' intervals.
+        w_ib_b: (N, 3) samples.
+        k: Index of the sample whose interval holds the end.
+        end_ns: End of the interval.
+        length_ns: Its length; with 0 the mean is sample k.
+        mean: (3,) result.
+
+    Returns:
+        The number of samples that took part.
+    """
+    start_ns = end_ns - length_ns
+    total = 0.0
+    count = 0
+    mean[:] = 0.0
+    j = k
+    while j > 0 and stamps_ns[j] > start_ns:
+        share = float(min(stamps_ns[j], end_ns) - max(stamps_ns[j - 1], start_ns))
+        if share > 0.0:
+            for i in range(3):
+                mean[i] += share * w_ib_b[j, i]
+            total += share
+            count += 1
+        j -= 1
+    if count == 0:
+        mean[:] = w_ib_b[k]
+        return 1
+    for i in range(3):
+        mean[i] /= total
+    return count
+
+
+@kernel
+def rotate_samples(out: Array, C: Array, samples: Array) -> None:
+    """out[k] = C samples[k], for (N, 3) arrays; the same bits for any N."""
+    for k in range(samples.shape[0]):
+        rotate(out[k], C, samples[k])
+
+
+class Samples:
+    """Samples in base_link axes, as they were read, and the states at their stamps.
+
+    The arrays have room for more than the ``count`` samples that they hold.
+
+    Args:
+        C_b_i: (3, 3) rotation from IMU to base_link axes.
+        capacity: Number of samples to make room for at first.
+        dtype: Of a state record.
+
+    Attributes:
+        count: Number of samples N.
+        stale: Index of the first sample whose state is not valid.
+        stamps_ns: (N,) stamps, rising.
+        f_b: (N, 3) specific force [m/s^2], base_link axes.
+        w_ib_b: (N, 3) angular rate [rad/s], base_link axes.
+        readings: (N, 6) the same in the axes of the IMU, f, then w.
+        states: (N,) state records.
+    """
+
+    def __init__(self, C_b_i: Array, capacity: int, dtype: np.dtype[np.void]) -> None:
+        self._C_b_i = C_b_i
+        self.count = 0
+        self.stale = 0
+        self.stamps_ns: Stamps = np.empty(capacity, dtype=np.int64)
+        self.f_b: Array = np.empty((capacity, 3))
+        self.w_ib_b: Array = np.empty((capacity, 3))
+        self.readings: Array = np.empty((capacity, 6))
+        self.states: Records = np.empty(capacity, dtype=dtype)
+
+    @property
+    def is_full(self) -> bool:
+        """Whether there is no room for another one."""
+        return self.count == self.stamps_ns.size
+
+    def index_of(self, stamp_ns: int) -> int:
+        """Index of the first sample that is not before a stamp."""
+        return int(np.searchsorted(self.stamps_ns[: self.count], stamp_ns))
+
+    def outdate(self, k: int) -> None:
+        """The states from sample k on are not valid any more."""
+        self.stale = min(self.stale, k)
+
+    def insert(self, sample: Imu) -> bool:
+        """Insert a sample in the order of the stamps; there must be room.
+
+        Of two samples with one stamp the smaller one counts, whichever comes first.
+
+        Returns:
+            Whether it is new; not where there is one with its stamp.
+        """
+        rotated = np.empty((2, 3))
+        rotate_samples(rotated, self._C_b_i, np.array([sample.f_b, sample.w_ib_b]))
+        f_b, w_ib_b = rotated
+        reading = np.concatenate([sample.f_b, sample.w_ib_b])
+        n, stamp_ns = self.count, sample.stamp_ns
+        k = n
+        if n and stamp_ns <= self.stamps_ns[n - 1]:
+            k = self.index_of(stamp_ns)
+            if self.stamps_ns[k] == stamp_ns:
+                kept = self.f_b[k].tobytes() + self.w_ib_b[k].tobytes()
+                if f_b.tobytes() + w_ib_b.tobytes() < kept:
+                    self.f_b[k], self.w_ib_b[k], self.readings[k] = f_b, w_ib_b, reading
+                    self.outdate(k)
+                return False
+        for array, value in (
+            (self.stamps_ns, stamp_ns),
+            (self.f_b, f_b),
+            (self.w_ib_b, w_ib_b),
+            (self.readings, reading),
+        ):
+            array[k + 1 : n + 1] = array[k:n]
+            array[k] = value
+        self.count = n + 1
+        self.outdate(k)
+        return True
+
+    def fill(self, stamps_ns: Stamps, f_b: Array, w_ib_b: Array) -> None:
+        """Take all samples of a recording; there are none yet.
+
+        Args:
+            stamps_ns: (N,) stamps, strictly increasing.
+            f_b: (N, 3) specific force [m/s^2], IMU axes, forward-right-down.
+            w_ib_b: (N, 3) angular rate [rad/s], same axes.
+
+        Raises:
+            ValueError: There are samples already, the arrays do not fit, are not finite, or the
+                stamps do not increase.
+        """
+        n = len(stamps_ns)
+        if self.count:
+            raise ValueError(f"the fold must be empty, it has {self.count} samples")
+        if f_b.shape != (n, 3) or w_ib_b.shape != (n, 3):
+            raise ValueError(
+                f"f_b and w_ib_b must have shape ({n}, 3), got {f_b.shape} and {w_ib_b.shape}"
+            )
+        if not (np.isfinite(f_b).all() and np.isfinite(w_ib_b).all()):
+            raise ValueError("f_b and w_ib_b must be finite")
+        late = np.flatnonzero(np.diff(stamps_ns) <= 0)
+        if late.size:
+            at = int(late[0])
+            raise ValueError(
+                f"stamps_ns must increase, got {stamps_ns[at + 1]} after {stamps_ns[at]} at "
+                f"index {at + 1}"
+            )
+        if n > self.stamps_ns.size:
+            self.grow(n)
+        self.stamps_ns[:n] = stamps_ns
+        rotate_samples(self.f_b, self._C_b_i, f_b)
+        rotate_samples(self.w_ib_b, self._C_b_i, w_ib_b)
+        self.readings[:n, :3], self.readings[:n, 3:] = f_b, w_ib_b
+        self.count, self.stale = n, 0
+
+    def put_state(self, state: Records, stamp_ns: int) -> None:
+        """Begin with the state of another run in the place of a first sample.
+
+        Args:
+            state: (1,) record.
+            stamp_ns: Of its last sample.
+        """
+        self.stamps_ns[0], self.f_b[0], self.w_ib_b[0] = stamp_ns, 0.0, 0.0
+        self.readings[0] = state[0]["channels"]["reading"]
+        self.states[0] = state[0]
+        self.count = self.stale = 1
+
+    def drop(self, count: int) -> None:
+        """Forget the first samples; all states are valid."""
+        keep = self.count - count
+        for array in (self.stamps_ns, self.f_b, self.w_ib_b, self.readings, self.states):
+            array[:keep] = array[count : self.count].copy()
+        self.count = self.stale = keep
+
+    def grow(self, size: int) -> None:
+        """Make room for so many samples."""
+        self.stamps_ns = _grown(self.stamps_ns, size)
+        self.f_b = _grown(self.f_b, size)
+        self.w_ib_b = _grown(self.w_ib_b, size)
+        self.readings = _grown(self.readings, size)
+        self.states = _grown(self.states, size)
+
+
+def _grown(array: NDArray[Any], size: int) -> NDArray[Any]:
+    larger = np.empty((size, *array.shape[1:]), array.dtype)
+    larger[: len(array)] = array
+    return larger
