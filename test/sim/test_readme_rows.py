@@ -1,4 +1,4 @@
-"""The first rows of the README, flown as they are printed: a newcomer's filter heads the right way."""
+"""The first rows of the README, flown as printed: a newcomer's filter heads the right way."""
 
 import math
 import re
