@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from importlib import import_module
 from importlib.metadata import version
 
+from insdvl.extras import MissingPackageError
+
 #: Module of each subcommand, with add_arguments(parser) and run(arguments) -> exit code, and what
 #: it does. Only the module that is asked for is imported.
 COMMANDS = {
@@ -32,7 +34,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name, (module, meaning) in COMMANDS.items():
         subparser = subparsers.add_parser(name, help=meaning, description=meaning)
         if name == asked:
-            command = import_module(module)
+            try:
+                command = import_module(module)
+            except MissingPackageError as error:
+                print(f"insdvl {name}: {error}", file=sys.stderr)
+                return 2
             command.add_arguments(subparser)
     parsed = parser.parse_args(given)
     if parsed.version:

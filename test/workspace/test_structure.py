@@ -1,14 +1,11 @@
 """The order of the rooms: who may import whom, no circles, files and folders of readable size."""
 
 import ast
-from functools import cache
-from pathlib import Path
 
 import pytest
+from sources import ROOT, is_ashore, modules, names, ours, package_of
 
-ROOT = Path(__file__).parents[2]
 CORE = ROOT / "src" / "insdvl"
-PACKAGES = (CORE, ROOT / "ros_insdvl" / "ros_insdvl", ROOT / "ros_insdvl_sim" / "ros_insdvl_sim")
 
 #: Rooms by level: a file imports from its own room and from rooms of lower levels. Rooms of one
 #: level do not know each other. "" are the files beside the rooms, cli.py aside.
@@ -24,8 +21,6 @@ LEVELS = (
     ("cli",),
 )
 LEVEL = {room: level for level, rooms in enumerate(LEVELS) for room in rooms}
-#: What stays on land.
-ASHORE = ("recordings", "simulation", "jobs", "studies", "cli")
 
 MAX_FILES = 13  # .py files in a folder
 MAX_LINES = 450
@@ -33,44 +28,10 @@ MAX_LINES = 450
 TABLES: dict[str, str] = {}
 
 
-@cache
-def modules() -> dict[str, Path]:
-    """Every module and package of ours, by its full name."""
-    found = {}
-    for package in PACKAGES:
-        for path in sorted(package.rglob("*.py")):
-            parts = path.relative_to(package.parent).with_suffix("").parts
-            found[".".join(part for part in parts if part != "__init__")] = path
-    return found
-
-
-def product_files() -> list[Path]:
-    return list(modules().values())
-
-
-@cache
-def imported(name: str) -> frozenset[str]:
-    """Our modules that a module imports anywhere, also within functions."""
-    known, found = modules(), set()
-    for node in ast.walk(ast.parse(known[name].read_text())):
-        if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{name} has a relative import"
-            for alias in node.names:
-                inner = f"{node.module}.{alias.name}"
-                found.add(inner if inner in known else str(node.module))
-    return frozenset(found & known.keys())
-
-
 def room(name: str) -> str:
     """The room of a module of the core."""
     parts = name.split(".")
     return parts[1] if len(parts) > 2 or parts[-1] in LEVEL or parts[-1] == "cli" else ""
-
-
-def core_names() -> list[str]:
-    return [name for name in modules() if name.split(".")[0] == "insdvl"]
 
 
 def test_every_room_has_its_level() -> None:
@@ -84,8 +45,8 @@ def test_every_room_has_its_level() -> None:
 def test_nothing_is_imported_against_the_order_of_the_rooms() -> None:
     against = [
         f"{name} imports {other}"
-        for name in core_names()
-        for other in sorted(imported(name))
+        for name in names("insdvl")
+        for other in sorted(ours(name))
         if room(other) != room(name) and LEVEL[room(other)] >= LEVEL[room(name)]
     ]
     assert against == []
@@ -93,21 +54,20 @@ def test_nothing_is_imported_against_the_order_of_the_rooms() -> None:
 
 def test_what_runs_aboard_imports_nothing_from_ashore() -> None:
     """The nodes of the vehicle included."""
-    aboard = [name for name in core_names() if room(name) not in ASHORE]
-    aboard += [name for name in modules() if name.split(".")[0] == "ros_insdvl"]
+    aboard = [name for name in names("insdvl") if not is_ashore(name)]
+    aboard += names("ros_insdvl")
     assert len(aboard) > 40
     found = [
         f"{name} imports {other}"
         for name in aboard
-        for other in sorted(imported(name))
-        if other.startswith("ros_insdvl_sim")
-        or (other.split(".")[0] == "insdvl" and room(other) in ASHORE)
+        for other in sorted(ours(name))
+        if package_of(other) == "ros_insdvl_sim" or is_ashore(other)
     ]
     assert found == []
 
 
 def test_the_core_imports_no_node() -> None:
-    assert [n for n in core_names() if any(not o.startswith("insdvl") for o in imported(n))] == []
+    assert [n for n in names("insdvl") if any(package_of(o) != "insdvl" for o in ours(n))] == []
 
 
 def circles() -> list[list[str]]:
@@ -118,7 +78,7 @@ def circles() -> list[list[str]]:
         if name in path:
             found.append([*path[path.index(name) :], name])
         elif name not in done:
-            for other in sorted(imported(name) - {name}):
+            for other in sorted(ours(name) - {name}):
                 walk(other, [*path, name])
             done.add(name)
 
@@ -132,14 +92,15 @@ def test_no_files_import_each_other_in_a_circle() -> None:
 
 
 def test_no_folder_has_more_files_than_one_takes_in_at_a_glance() -> None:
-    folders = {path.parent for path in product_files()}
+    folders = {path.parent for path in modules().values()}
     counts = {str(f.relative_to(ROOT)): len(list(f.glob("*.py"))) for f in folders}
     assert {folder: count for folder, count in counts.items() if count > MAX_FILES} == {}
 
 
 def test_no_file_is_longer_than_one_reads_in_a_sitting() -> None:
     lengths = {
-        str(path.relative_to(ROOT)): len(path.read_text().splitlines()) for path in product_files()
+        str(path.relative_to(ROOT)): len(path.read_text().splitlines())
+        for path in modules().values()
     }
     long = {path for path, length in lengths.items() if length > MAX_LINES}
     assert {path: lengths[path] for path in long - TABLES.keys()} == {}
@@ -150,7 +111,7 @@ def test_no_file_is_longer_than_one_reads_in_a_sitting() -> None:
 def test_array_types_are_defined_once(name: str) -> None:
     defining = [
         str(path.relative_to(ROOT))
-        for path in product_files()
+        for path in modules().values()
         for node in ast.parse(path.read_text()).body
         if isinstance(node, ast.Assign)
         and any(isinstance(target, ast.Name) and target.id == name for target in node.targets)
