@@ -13,7 +13,7 @@ import yaml
 from insdvl.navigation.events import Dvl, Imu, ProcessNoise
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import ParameterError, build, declarations, flatten, parameter
-from insdvl.parameters.sections import load_section
+from insdvl.parameters.sections import NODES, load_section
 from insdvl.recordings.parameters import ReplayParameters
 from insdvl.simulation.parameters import SimulatorParameters
 from insdvl.studies.faults.link import RelayParameters
@@ -286,6 +286,18 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
 def test_the_generated_files_are_up_to_date() -> None:
     for path, content in parameter_page.files():
         assert (ROOT / path).read_text(encoding="utf-8") == content, path
+
+
+def test_the_ten_to_set_are_parameters_of_the_filter_with_a_reason() -> None:
+    assert len(parameter_page.TO_SET) == 10
+    assert parameter_page.TO_SET.keys() <= {d.name for d in declarations(FilterParameters)}
+    assert all(why.endswith(".") for why in parameter_page.TO_SET.values())
+    headings = [line for line in parameter_page.markdown().splitlines() if line.startswith("## ")]
+    assert headings == ["## The ten that you set", *(f"## {node}" for node in SECTIONS)]
+
+
+def test_every_node_of_ours_has_its_parameters_on_the_page() -> None:
+    assert SECTIONS.keys() == set(NODES)
 
 
 @pytest.mark.parametrize("node", SECTIONS)
