@@ -1,10 +1,10 @@
 """Compile the hot functions of simulator, filter and tuner, so that programs start quickly."""
 
-from insdvl.timeline.fold import run
 from insdvl.navigation.parameters import FilterParameters
-from insdvl.simulation.parameters import SimulatorParameters
-from insdvl.tuner.parameters import TunerParameters
 from insdvl.simulation.mission import mission_of
+from insdvl.simulation.parameters import SimulatorParameters
+from insdvl.timeline.fold import run
+from insdvl.tuner.parameters import TunerParameters
 from insdvl.tuner.tuner import Tuner
 from ros_insdvl.filter import compile_kernels
 

@@ -2,8 +2,8 @@
 
 A group of parameters is a frozen dataclass whose fields are made by `parameter`, with unit, range
 and meaning. The ROS declarations and descriptors, the checks of YAML files, the tables in
-docs/parameters.md and the example files are all made from it. Groups nest; the full name of a
-nested field is joined by dots (``dvl.lever_arm``).
+docs/reference/parameters.md and the example files are all made from it. Groups nest; the full name
+of a nested field is joined by dots (``dvl.lever_arm``).
 
 Types are strict, as in ROS 2: ``5`` is not a float, and a list of floats has only floats. An error
 names the parameter, the value and the allowed range.

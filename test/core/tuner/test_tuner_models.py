@@ -211,7 +211,7 @@ def test_the_bytes_that_are_hashed_are_the_bytes_that_are_used(model, monkeypatc
     assert load_model(str(model)).regressor.n_trees == 30
 
 
-PAGE = Path(__file__).parents[3] / "docs" / "tuner.md"
+PAGE = Path(__file__).parents[3] / "docs" / "explanation" / "tuner.md"
 
 
 def test_the_documented_lines_make_a_model_of_ones_own(tmp_path, monkeypatch):

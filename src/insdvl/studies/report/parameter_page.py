@@ -130,7 +130,10 @@ def markdown() -> str:
 
 def example(node: str) -> str:
     """A parameter file of one node with all defaults, each with its meaning."""
-    lines = [f"# All parameters of {node} and their defaults. See docs/parameters.md.", ""]
+    lines = [
+        f"# All parameters of {node} and their defaults. See docs/reference/parameters.md.",
+        "",
+    ]
     lines += [f"/**/{node}:", "  ros__parameters:"]
     open_groups: list[str] = []
     for d in declarations(SECTIONS[node]):
@@ -154,7 +157,7 @@ def example(node: str) -> str:
 
 def files() -> Iterator[tuple[Path, str]]:
     """Path in the repository and content of every generated file."""
-    yield Path("docs/parameters.md"), markdown()
+    yield Path("docs/reference/parameters.md"), markdown()
     for node, path in EXAMPLES.items():
         yield Path(path), example(node)
 
