@@ -1,24 +1,27 @@
-# make demo         sets up, then runs the navigation graph; ARGS="--seed 3 --scenario wide"
-# make test         sets up, then runs the tests; ARGS="-k filter"
-# make test-jazzy   the tests with the library versions of a full ROS 2 Jazzy; needs a Python 3.12
-# make results      computes docs/results.md again: about an hour; ARGS="--recordings DIR --config FILE"
-# make faults       flies the fault matrix of docs/reliability.md again: about half an hour
-# make soak         adds an hour of mission to the soak there; ARGS="--hours 2"
-# make clean        removes what the set-up and the builds made
-# PYTHON=python3.11 names the interpreter for a first set-up.
+# make demo         run the navigation graph; ARGS="--seed 3 --scenario wide"
+# make test         run the fast tests, 6 minutes on two quiet cores; ARGS="-k filter"
+# make test-all     run all tests, the long ones included, 40 minutes
+# make test-jazzy   run all tests with the library versions of ROS 2 Jazzy; needs Python 3.12
+# make results      recompute docs/results.md, about an hour; ARGS="--recordings DIR --config FILE"
+# make faults       fly the fault matrix of docs/reliability.md again, about half an hour
+# make soak         add an hour of mission to the soak there; ARGS="--hours 2"
+# make clean        remove what set-up and builds made
+#
+# Each sets up the environment when it runs first and rebuilds what changed.
+# PYTHON=python3.11 selects the interpreter of the first set-up.
 
-# The environment is our own: a ROS 2 that was sourced in this shell must not leak into it.
+# A ROS 2 that was sourced in this shell must not leak into the environment.
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
 unexport FASTRTPS_DEFAULT_PROFILES_FILE RMW_IMPLEMENTATION VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 ARGS ?=
-# Two at a time; the tests of a file share what is costly to make.
+# Two processes; the tests of one file stay together and share costly set-ups.
 PYTEST := pytest -n 2 --dist loadfile
-# Folders are in the list so that a deleted file is noticed as well.
+# Folders are listed too, so that a deleted file triggers a build.
 SOURCES := $(shell find src ros_insdvl ros_insdvl_sim models tools/build.sh tools/warm.py \
 	-name __pycache__ -prune -o -name '*.egg-info' -prune -o -print)
 
-.PHONY: demo test test-jazzy results faults soak clean
+.PHONY: demo test test-all test-jazzy results faults soak clean
 .DELETE_ON_ERROR:
 
 demo: .venv/.built
@@ -31,6 +34,9 @@ faults soak: .venv/.built
 	AMENT_PREFIX_PATH=$(CURDIR)/.venv .venv/lib/ros_insdvl_sim/$@ $(ARGS)
 
 test: .venv/.built
+	AMENT_PREFIX_PATH=$(CURDIR)/.venv .venv/bin/$(PYTEST) -m "not long" $(ARGS)
+
+test-all: .venv/.built
 	AMENT_PREFIX_PATH=$(CURDIR)/.venv .venv/bin/$(PYTEST) $(ARGS)
 
 test-jazzy: .venv-jazzy/.built

@@ -20,7 +20,16 @@ setup(
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/config", CONFIG),
     ],
-    install_requires=["numpy", "pyyaml", "scipy"],
+    install_requires=[
+        "joblib",
+        "lz4",
+        "matplotlib",
+        "numpy",
+        "pyyaml",
+        "rosbags",
+        "scipy",
+        "threadpoolctl",
+    ],
     extras_require={"test": ["pytest"]},
     zip_safe=True,
     entry_points={

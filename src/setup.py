@@ -23,23 +23,17 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
     ],
-    install_requires=[
-        "joblib",
-        "lz4",
-        "matplotlib",
-        "numba",
-        "numpy",
-        "pyyaml",
-        "rosbags",
-        "scikit-learn",
-        "scipy",
-        "threadpoolctl",
-    ],
+    # What runs on a vehicle needs no more than this.
+    install_requires=["numba", "numpy", "pyyaml", "scipy"],
     extras_require={
-        "dask": ["dask", "distributed"],
-        "dnn": ["onnx", "torch"],  # training only
-        "onnx": ["onnxruntime"],
+        "bags": ["lz4", "rosbags"],  # insdvl replay
+        "dask": ["dask", "distributed"],  # --backend dask
+        "dnn": ["onnx", "torch"],  # insdvl train --preset dnn
+        "jobs": ["joblib", "threadpoolctl"],  # insdvl evaluate, train and results
+        "onnx": ["onnxruntime"],  # models/*.onnx
+        "plot": ["matplotlib"],  # pictures of insdvl evaluate and results
         "test": ["hypothesis", "pytest", "python-ins"],
+        "train": ["joblib", "scikit-learn", "threadpoolctl"],  # insdvl train
     },
     zip_safe=False,
     entry_points={"console_scripts": ["insdvl = insdvl.cli:main"]},

@@ -2,7 +2,7 @@
 
 A cause is told as long as it lasts: from what holds now, or from what was counted in the last
 `RECENT` seconds of the steady clock. Every complaint names the number that led to it and what to
-do. docs/diagnostics.md has all of them.
+do. docs/reference/diagnostics.md has all of them.
 """
 
 from collections import Counter, deque

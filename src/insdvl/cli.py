@@ -1,4 +1,4 @@
-"""The command `insdvl`: its subcommands, each in the module that does the work."""
+"""The command `insdvl`, with each subcommand in a module of its own."""
 
 import argparse
 import sys
@@ -6,24 +6,26 @@ from collections.abc import Sequence
 from importlib import import_module
 from importlib.metadata import version
 
-#: Module of each subcommand, with add_arguments(parser) and run(arguments) -> exit code, and what
-#: it does. Only the module that is asked for is imported.
+from insdvl.extras import MissingPackageError
+
+#: Module and meaning of each subcommand. A module has add_arguments(parser) and run(arguments) ->
+#: exit code; only the module of the given subcommand is imported.
 COMMANDS = {
     "train": (
         "insdvl.studies.training.command",
-        "learn a model of the process noise from simulations",
+        "train a process noise model on simulations",
     ),
     "replay": ("insdvl.studies.replay.command", "run the filter over a rosbag2 recording"),
     "evaluate": (
         "insdvl.studies.evaluation.command",
         "compare sources of process noise on simulations",
     ),
-    "results": ("insdvl.studies.evaluation.results", "compute the page of results again"),
+    "results": ("insdvl.studies.evaluation.results", "recompute the results page"),
 }
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; the exit code is 0, 2 where the input is refused, 1 on any other failure."""
+    """Run the command; the exit code is 0, or 2 if the input is refused, or 1 on other failures."""
     given = sys.argv[1:] if arguments is None else list(arguments)
     parser = argparse.ArgumentParser(prog="insdvl", description="INS/DVL navigation without ROS.")
     parser.add_argument("--version", action="store_true", help="print the version and exit")
@@ -32,14 +34,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name, (module, meaning) in COMMANDS.items():
         subparser = subparsers.add_parser(name, help=meaning, description=meaning)
         if name == asked:
-            command = import_module(module)
+            try:
+                command = import_module(module)
+            except MissingPackageError as error:
+                print(f"insdvl {name}: {error}", file=sys.stderr)
+                return 2
             command.add_arguments(subparser)
     parsed = parser.parse_args(given)
     if parsed.version:
         print(f"insdvl {version('insdvl')}")
         return 0
     if parsed.command is None:
-        parser.error(f"a command is needed: {', '.join(COMMANDS)}")
+        parser.error(f"no command given; choose from {', '.join(COMMANDS)}")
     return int(command.run(parsed))
 
 

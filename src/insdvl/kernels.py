@@ -1,15 +1,16 @@
-"""The only place that calls numba: compilation of the hot functions, and their cache.
+"""Compilation of the hot functions with numba, and the cache of the compiled functions.
 
-The cache lives in ``$INSDVL_CACHE_DIR``, else in the user's cache folder. Where neither can be
-written the functions are compiled in memory, with one warning. A cache that is full, damaged or
-read-only never stops a program: it costs compile time, and one warning.
+The cache is in ``$INSDVL_CACHE_DIR``, or in the user's cache folder. If neither is writable, the
+functions are compiled in memory, with one warning. A full, damaged or read-only cache never stops a
+program; it costs compile time and one warning.
 
-What is in the cache is run, as what is in Python's own ``__pycache__`` is: a folder that others own
-or may write to is not used.
+Cached functions are executed, as are the files in Python's ``__pycache__``. A folder that belongs
+to another user or is world-writable is therefore not used.
 
 numba checks a cached function against its own source file only, not against the files of the
-functions that it calls. The name of a cache folder therefore carries a digest of a source file and
-of all files that it imports, of the interpreter and of numba. An edit elsewhere compiles nothing.
+functions that it calls. The name of a cache folder therefore contains a digest of the source file,
+of all files of this package that it imports, and of the versions of Python and numba. Editing
+another file recompiles nothing.
 """
 
 import ast
@@ -35,14 +36,14 @@ _PACKAGE = Path(__file__).parent
 
 
 class CacheWarning(UserWarning):
-    """The compiled functions cannot be kept on disk; they work, but start slowly."""
+    """The compiled functions cannot be cached on disk; programs work, but start slowly."""
 
 
 _warned: list[str] = []
 
 
 def _warn_once(reason: str) -> None:
-    """Warn, but once in a program: the second trouble mostly follows from the first."""
+    """Warn once per program: later failures usually follow from the first."""
     _warned.append(reason)
     if len(_warned) > 1:
         return
@@ -54,7 +55,7 @@ def _warn_once(reason: str) -> None:
 
 
 def _imported(source: Path) -> set[Path]:
-    """Files of this package that a file imports."""
+    """Files of this package that a file imports directly."""
     found: set[Path] = set()
     for node in ast.walk(ast.parse(source.read_bytes())):
         if isinstance(node, ast.Import):
@@ -78,9 +79,9 @@ def _imported(source: Path) -> set[Path]:
 
 @cache
 def source_digest(source: Path) -> str:
-    """Digest of a file of this package and of all that it imports, as 16 hexadecimal digits.
+    """Digest of a file and of all files of this package that it imports, as 16 hexadecimal digits.
 
-    What the code of the file computes depends on no other file.
+    The results of its code depend on no other file of the package.
     """
     reached, waiting = {source}, [source]
     while waiting:
@@ -101,13 +102,13 @@ def _user_cache_dir() -> Path | None:
         return Path(base) / "insdvl"
     try:
         return Path.home() / ".cache" / "insdvl"
-    except RuntimeError:  # no home folder is known
+    except RuntimeError:  # there is no home folder
         return None
 
 
 @cache
 def cache_dir(source: Path) -> Path | None:
-    """Folder of the compiled functions of a file, or None where no folder can be written."""
+    """Folder for the compiled functions of a file, or None if no folder is writable."""
     named = os.environ.get("INSDVL_CACHE_DIR")
     candidates = [Path(named)] if named else []
     user = _user_cache_dir()
@@ -122,7 +123,7 @@ def cache_dir(source: Path) -> Path | None:
             folder.mkdir(mode=0o755, parents=True, exist_ok=True)
             status = folder.stat()
             if status.st_uid not in (0, os.getuid()) or status.st_mode & stat.S_IWOTH:
-                raise PermissionError(errno.EPERM, "others own it or may write to it")
+                raise PermissionError(errno.EPERM, "owned by another user or world-writable")
             with tempfile.TemporaryFile(dir=folder):
                 return folder
         except OSError as error:
@@ -132,10 +133,10 @@ def cache_dir(source: Path) -> Path | None:
 
 
 class _ForgivingCache(FunctionCache):
-    """numba's cache of one function, in a folder whose name tells which source it is of.
+    """numba's cache of one function, in a folder whose name identifies the source.
 
-    So neither the path of the source nor its time matters: an installation elsewhere, or again,
-    finds what was compiled before. A damaged or full cache is a warning and not an exception.
+    Neither path nor modification time of the source matters, so another installation of the same
+    source uses the same cache. A damaged or full cache gives a warning, not an exception.
     """
 
     def __init__(self, function: Callable[..., Any], folder: Path) -> None:
@@ -150,24 +151,24 @@ class _ForgivingCache(FunctionCache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         try:
             return super().load_overload(sig, target_context)
-        except Exception as error:  # a damaged file raises whatever its bytes make pickle raise
+        except Exception as error:  # unpickling a damaged file may raise anything
             _warn_once(f"damaged cache: {error!r}")
-            with contextlib.suppress(OSError):  # saving then meets the same trouble
-                self.flush()  # else a damaged index stays damaged for ever
+            with contextlib.suppress(OSError):  # saving fails in the same way and warns
+                self.flush()  # otherwise a damaged index would stay
             return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
         try:
             super().save_overload(sig, data)
-        except Exception as error:  # a full disk, or a damaged index that is read before writing
+        except Exception as error:  # a full disk, or a damaged index, which is read first
             _warn_once(f"cannot write the cache: {error!r}")
 
 
 def kernel(function: _Function) -> _Function:
     """Compile a function with numba on its first call, and cache the result on disk.
 
-    ``error_model="numpy"``: a division by zero gives inf or nan as numpy does, and costs no check.
-    Floating-point operations are never reordered, so a kernel is reproducible to the bit.
+    With ``error_model="numpy"`` a division by zero gives inf or nan, as in numpy, without a check.
+    Floating-point operations are never reordered, so results are reproducible to the bit.
     """
     dispatcher: Any = numba.njit(error_model="numpy", nogil=True)(function)
     folder = cache_dir(Path(function.__code__.co_filename))
@@ -176,7 +177,7 @@ def kernel(function: _Function) -> _Function:
         previous, config.CACHE_DIR = config.CACHE_DIR, str(folder)
         try:
             dispatcher._cache = _ForgivingCache(function, folder)
-        except RuntimeError as error:  # numba found no place for this function
+        except RuntimeError as error:  # numba finds no cache location for this function
             _warn_once(str(error))
         finally:
             config.CACHE_DIR = previous

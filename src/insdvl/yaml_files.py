@@ -1,7 +1,7 @@
-"""YAML files as plain data. What is large, deep or ambiguous is refused.
+"""YAML files as plain data. Files that are large, deeply nested or ambiguous are refused.
 
-YAML has aliases, with which a few lines stand for billions of values. ROS 2 does not take them in
-its parameter files and rosbag2 does not write them: here they are refused as well.
+With aliases a few lines of YAML can stand for billions of values. ROS 2 does not accept them in
+parameter files and rosbag2 does not write them, so they are refused here as well.
 """
 
 from pathlib import Path
@@ -11,29 +11,31 @@ import yaml
 
 from insdvl.files import read
 
-MAX_BYTES = 2**20  # a thousand parameters or topics have less
-MAX_DEPTH = 50  # levels of brackets and indentation; parameters and recordings have less than ten
-MAX_TEXT = 2**16  # characters of one value; the qualities of service of many publishers are one
+MAX_BYTES = 2**20  # a thousand parameters or topics need less
+MAX_DEPTH = 50  # nested levels; parameters and recordings have fewer than ten
+MAX_TEXT = 2**16  # characters of one value; rosbag2 writes the QoS of all publishers in one
 
-#: The fast one, where PyYAML was built with it.
+#: The loader in C, if PyYAML was built with it.
 _SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 class YamlError(ValueError):
-    """A file that is no YAML, or that holds what is refused."""
+    """A file that is not valid YAML, or that contains something that is refused."""
 
 
 class _Loader(_SafeLoader):
-    """Of a key that is there twice, YAML's own loaders take the last and say nothing."""
+    """Refuses duplicate keys, of which PyYAML silently takes the last."""
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
         lines: dict[str, int] = {}
         for key, _ in node.value:
             line = key.start_mark.line + 1
             if not isinstance(key, yaml.ScalarNode):
-                raise YamlError(f"line {line} has a key that is no text")
+                raise YamlError(f"line {line} has a key that is not text")
             if key.value in lines:
-                raise YamlError(f"key {key.value!r} is in line {lines[key.value]} and in {line}")
+                raise YamlError(
+                    f"duplicate key {key.value!r} in lines {lines[key.value]} and {line}"
+                )
             lines[key.value] = line
         mapping: dict[Any, Any] = super().construct_mapping(node, deep)
         return mapping
@@ -43,9 +45,9 @@ def load(path: Path) -> Any:
     """The document in a file: dictionaries, lists and plain values.
 
     Raises:
-        OSError: The file cannot be read, or is too large.
-        YamlError: It is no YAML, or has an alias, too many levels, too long a value, or a key that
-            is given twice.
+        OSError: The file cannot be read or is too large.
+        YamlError: It is not valid YAML, or it has an alias, too many levels, a value that is too
+            long, or a duplicate key.
     """
     data = read(path, MAX_BYTES)
     try:
@@ -58,12 +60,12 @@ def load(path: Path) -> Any:
             loader.dispose()
     except YamlError:
         raise
-    except Exception as error:  # a tag on a text that is none of its kind raises anything
+    except Exception as error:  # a tag that does not fit its text may raise anything
         raise YamlError(str(error)) from error
 
 
 def _check(text: str) -> None:
-    """Go through the document without making anything of it."""
+    """Check the document before any object is made from it."""
     depth = 0
     for event in yaml.parse(text, Loader=_SafeLoader):
         line = event.start_mark.line + 1

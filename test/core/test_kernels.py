@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import insdvl
+from insdvl import kernels
 
 PROGRAM = """
 import sys, warnings
@@ -159,8 +160,9 @@ def test_folder_that_vanishes_before_the_first_call(run, tmp_path):
     """A folder replaced by a file after it was chosen: one warning, and the right result."""
     cache = tmp_path / "cache"
     before = (
-        "import shutil; from insdvl import kernels; folder = kernels.cache_dir(); "
-        "import kernel_of_test; shutil.rmtree(folder); folder.write_text('')"
+        "import kernel_of_test, shutil; from pathlib import Path; from insdvl import kernels; "
+        "folder = kernels.cache_dir(Path(kernel_of_test.__file__)); shutil.rmtree(folder); "
+        "folder.write_text('')"
     )
     outcome = run(before, INSDVL_CACHE_DIR=cache)
     (warning,) = outcome.warnings
@@ -179,6 +181,29 @@ def test_another_source_is_another_folder(run, tmp_path):
     other = run(f"sys.path.insert(0, {str(copy)!r})", INSDVL_CACHE_DIR=tmp_path / "cache")
     assert other.folder != outcome.folder
     assert other.folder.parent == outcome.folder.parent
+
+
+def test_an_edit_is_another_digest_where_it_is_imported_and_nowhere_else(tmp_path, monkeypatch):
+    package = tmp_path / "insdvl"
+    sources = {
+        "__init__": "",
+        "near/__init__": "",
+        "near/first": "from insdvl.near.second import x",
+        "near/second": "import insdvl.third",
+        "third": "x = 1",
+        "far": "x = 1",
+    }
+    for name, text in sources.items():
+        file = package / f"{name}.py"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text)
+    monkeypatch.setattr(kernels, "_PACKAGE", package)
+    digest = kernels.source_digest.__wrapped__
+    before = digest(package / "near/first.py")
+    (package / "far.py").write_text("x = 2")
+    assert digest(package / "near/first.py") == before
+    (package / "third.py").write_text("x = 2")
+    assert digest(package / "near/first.py") != before
 
 
 def test_a_folder_that_others_may_write_to_is_not_used(run, tmp_path):

@@ -32,7 +32,7 @@ from ros_insdvl.diagnostics import (
 from ros_insdvl.filter_status import FilterWatch
 
 START_NS = 1_700_000_000 * NS
-PAGE = Path(__file__).parents[2] / "docs" / "diagnostics.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "diagnostics.md"
 
 
 class Filter:

@@ -352,7 +352,10 @@ def test_a_damaged_file_is_named_and_stays(tmp_path: Path, fly: Callable[..., Fl
     flown = fly()
     file = tmp_path / "reliability" / "soak.json"
     file.parent.mkdir()
-    for content, expected in ("{", "is no JSON"), ('{"legs": [{}]}', "lacks what the page"):
+    for content, expected in (
+        ("{", "is not valid JSON"),
+        ('{"legs": [{}]}', "does not have the content that the page needs"),
+    ):
         file.write_text(content)
         with pytest.raises(ValueError, match=f"{file} {expected}"):
             add(tmp_path)

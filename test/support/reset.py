@@ -1,4 +1,4 @@
-"""The reset Jacobian that the filter does not apply (docs/error-state.md, section 9)."""
+"""The reset Jacobian that the filter does not apply; docs/explanation/error-state.md, 9."""
 
 import numpy as np
 import pytest

@@ -1,21 +1,21 @@
 """Dependencies are declared where they are used, and pinned; the core needs no ROS."""
 
 import ast
+import json
 import re
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+import sources
 from packaging.markers import default_environment
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+from sources import PACKAGES, ROOT
 
-ROOT = Path(__file__).parents[2]
-PACKAGES = {"insdvl": "src", "ros_insdvl": "ros_insdvl", "ros_insdvl_sim": "ros_insdvl_sim"}
 ROSDEP_KEYS = {
     "joblib": "python3-joblib",
     "matplotlib": "python3-matplotlib",
@@ -27,29 +27,40 @@ ROSDEP_KEYS = {
 PIP_NAMES = {"sklearn": "scikit-learn", "yaml": "pyyaml"}
 PIP_ONLY = {"numba", "rosbags"}  # no rosdep key on Ubuntu 24.04
 COMES_ALONG = {"lz4", "threadpoolctl"}  # rosbags and scikit-learn need them
-# Imported where they are needed, and not before: each is in an extra of that name.
-EXTRAS = {"dask": {"dask", "distributed"}, "dnn": {"onnx", "torch"}, "onnx": {"onnxruntime"}}
-OPTIONAL = set().union(*EXTRAS.values())
+ABOARD = {"numba", "numpy", "scipy", "yaml"}
+EXTRAS = {
+    "bags": {"lz4", "rosbags"},
+    "dask": {"dask", "distributed"},
+    "dnn": {"onnx", "torch"},
+    "jobs": {"joblib", "threadpoolctl"},
+    "onnx": {"onnxruntime"},
+    "plot": {"matplotlib"},
+    "train": {"joblib", "sklearn", "threadpoolctl"},
+}
+#: Imported within functions only, where an option asks for them.
+OPTIONAL = EXTRAS["dask"] | EXTRAS["dnn"] | EXTRAS["onnx"]
 PYTHONS = ("3.10", "3.11", "3.12", "3.13")
 
 
-def modules(package: str) -> list[Path]:
-    return sorted((ROOT / PACKAGES[package] / package).rglob("*.py"))
-
-
-def imports(module: Path) -> Iterator[str]:
-    """The top-level packages that a module imports anywhere, relative imports aside."""
-    for node in ast.walk(ast.parse(module.read_text())):
-        if isinstance(node, ast.Import):
-            yield from (name.name.partition(".")[0] for name in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.level == 0:
-            assert node.module is not None
-            yield node.module.partition(".")[0]
-
-
 def third_party(package: str) -> set[str]:
-    found = {name for module in modules(package) for name in imports(module)}
-    return found - set(sys.stdlib_module_names) - {package}
+    """What a package of ours imports itself."""
+    return set().union(*(sources.third_party(name) for name in sources.names(package)))
+
+
+def extras_of(package: str) -> set[str]:
+    """What a package of ours needs of the extras, itself or through others of ours."""
+    reached = sources.reached(sources.names(package))
+    found = set().union(*(sources.third_party(name) for name in reached))
+    return (found & set().union(*EXTRAS.values())) - OPTIONAL
+
+
+def pip_names(packages: set[str]) -> set[str]:
+    return {PIP_NAMES.get(name, name) for name in packages}
+
+
+def rosdep_keys(packages: set[str]) -> set[str]:
+    """Of what rosdep can install; the names of ROS packages are their keys."""
+    return {ROSDEP_KEYS.get(name, name) for name in packages - PIP_ONLY - COMES_ALONG - OPTIONAL}
 
 
 def entries(name: str) -> list[Requirement]:
@@ -74,12 +85,10 @@ def install_requires(package: str) -> set[str]:
     return set(setup_argument(package, "install_requires"))
 
 
-def core_modules() -> list[str]:
-    return [
-        ".".join(module.relative_to(ROOT / "src").with_suffix("").parts)
-        for module in modules("insdvl")
-        if module.name not in ("__init__.py", "__main__.py")
-    ]
+def imported_packages(package: str) -> set[str]:
+    """Other packages of ours that a package imports."""
+    others = set().union(*(sources.ours(name) for name in sources.names(package)))
+    return {sources.package_of(name) for name in others} - {package}
 
 
 def output(code: str, folder: Path) -> str:
@@ -91,33 +100,48 @@ def output(code: str, folder: Path) -> str:
     return result.stdout
 
 
-@pytest.mark.parametrize("package", PACKAGES)
-def test_package_xml_declares_what_is_imported(package: str) -> None:
+def depends(package: str, kind: str) -> set[str | None]:
     manifest = ElementTree.parse(ROOT / PACKAGES[package] / "package.xml")
-    declared = {depend.text for depend in manifest.iter("exec_depend")}
-    without_key = PIP_ONLY | COMES_ALONG | OPTIONAL
-    assert declared == {ROSDEP_KEYS.get(name, name) for name in third_party(package) - without_key}
+    return {depend.text for depend in manifest.iter(kind)}
 
 
-@pytest.mark.parametrize("package", PACKAGES)
-def test_setup_py_declares_what_is_imported(package: str) -> None:
-    names = third_party(package) & (PIP_ONLY | COMES_ALONG | set(ROSDEP_KEYS))
-    assert install_requires(package) == {PIP_NAMES.get(name, name) for name in names}
+def test_what_runs_aboard_needs_four_packages() -> None:
+    """Those of the core; ROS's own are the nodes'."""
+    aboard = [name for name in sources.names("insdvl") if not sources.is_ashore(name)]
+    found = set().union(*(sources.third_party(name) for name in aboard))
+    assert found - OPTIONAL == ABOARD
+    assert install_requires("insdvl") == pip_names(ABOARD)
+    assert depends("insdvl", "exec_depend") == rosdep_keys(ABOARD)
+    assert extras_of("ros_insdvl") == set()
 
 
-def test_extras_declare_what_is_optional() -> None:
+def test_the_tests_of_the_core_need_what_is_ashore() -> None:
+    assert depends("insdvl", "test_depend") >= rosdep_keys(extras_of("insdvl"))
+
+
+@pytest.mark.parametrize("package", ["ros_insdvl", "ros_insdvl_sim"])
+def test_package_xml_declares_what_is_used(package: str) -> None:
+    used = third_party(package) | imported_packages(package) | extras_of(package)
+    assert depends(package, "exec_depend") == rosdep_keys(used)
+
+
+@pytest.mark.parametrize("package", ["ros_insdvl", "ros_insdvl_sim"])
+def test_setup_py_declares_what_is_used(package: str) -> None:
+    used = third_party(package) & (PIP_ONLY | COMES_ALONG | ROSDEP_KEYS.keys())
+    assert install_requires(package) == pip_names(used | extras_of(package))
+
+
+def test_extras_declare_what_is_ashore() -> None:
     extras = setup_argument("insdvl", "extras_require")
-    assert {name: set(extras[name]) for name in extras if name != "test"} == EXTRAS
-    assert third_party("insdvl") & OPTIONAL == OPTIONAL
-    assert (
-        set().union(*(third_party(package) for package in PACKAGES.keys() - {"insdvl"})) & OPTIONAL
-        == set()
-    )
+    assert {name: set(extras[name]) for name in extras if name != "test"} == {
+        name: pip_names(packages) for name, packages in EXTRAS.items()
+    }
+    assert third_party("insdvl") == ABOARD.union(*EXTRAS.values())
 
 
 def test_requirements_cover_the_packages() -> None:
     needed = set().union(*(install_requires(package) for package in PACKAGES))
-    assert needed | EXTRAS["dask"] | EXTRAS["onnx"] <= required()
+    assert needed | pip_names(set().union(*EXTRAS.values()) - EXTRAS["dnn"]) <= required()
     assert not EXTRAS["dnn"] & required()
 
 
@@ -141,25 +165,85 @@ def test_every_requirement_has_one_pin(version: str) -> None:
 
 def test_the_core_is_free_of_ros(tmp_path: Path) -> None:
     """Neither in its text nor in what an import of all of it loads."""
-    assert third_party("insdvl") <= PIP_ONLY | COMES_ALONG | set(ROSDEP_KEYS) | OPTIONAL
+    assert third_party("insdvl") <= ABOARD.union(*EXTRAS.values())
 
-    code = f"import sys\nfor name in {core_modules()}: __import__(name)\nprint(*sys.modules)"
-    loaded = output(code, tmp_path).split()
-    assert "insdvl.kernels" in loaded
-    assert [name for name in loaded if re.match(r"rclpy|rosidl|rpyutils|\w+_msgs\b", name)] == []
+    why, loaded = failures(set(), sources.names("insdvl"), tmp_path)
+    assert why == {}
+    assert "matplotlib" in loaded
+    assert [name for name in loaded if re.match(r"rclpy|rosidl|rpyutils|\w+_msgs$", name)] == []
 
 
-def test_the_core_starts_without_the_optional_packages(tmp_path: Path) -> None:
-    code = f"""
-import sys
+IMPORTS = """
+import json, sys
+from importlib import import_module
 
 class Absent:
     def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in {sorted(OPTIONAL)}:
-            raise ModuleNotFoundError(name)
+        if name.partition(".")[0] in {absent}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
 
 sys.meta_path.insert(0, Absent())
-for name in {core_modules()}:
-    __import__(name)
+failures = {{}}
+for name in {names}:
+    try:
+        import_module(name)
+    except ModuleNotFoundError as error:
+        failures[name] = str(error)
+loaded = set()
+for module in list(sys.modules.values()):
+    parts = (getattr(module, "__file__", None) or "").split("/")
+    for folder in {{"site-packages", "dist-packages"}}.intersection(parts):
+        loaded.add(parts[parts.index(folder) + 1].partition(".")[0])
+print(json.dumps([failures, sorted(loaded)]))
 """
-    output(code, tmp_path)
+
+
+def failures(absent: set[str], names: list[str], folder: Path) -> tuple[dict[str, str], set[str]]:
+    """Which imports fail, and why, where packages are absent; and the packages that are loaded."""
+    text = output(IMPORTS.format(absent=sorted(absent), names=names), folder)
+    why, loaded = json.loads(text)
+    return why, set(loaded)
+
+
+def test_what_runs_aboard_loads_four_packages(tmp_path: Path) -> None:
+    names = [name for name in sources.names("insdvl") if not sources.is_ashore(name)]
+    why, loaded = failures(set(), names, tmp_path)
+    assert why == {}
+    assert loaded.isdisjoint(set().union(*EXTRAS.values()))
+    _, needed = failures(set(), sorted(ABOARD), tmp_path)
+    assert loaded - needed <= {"insdvl"}
+
+
+@pytest.mark.parametrize(
+    ("absent", "extras"),
+    [(set().union(*EXTRAS.values()), {"bags", "jobs", "plot"}), ({"sklearn"}, {"train"})],
+    ids=["all", "sklearn"],
+)
+def test_a_missing_package_is_told_with_its_extra(
+    absent: set[str], extras: set[str], tmp_path: Path
+) -> None:
+    """And aboard none is missed."""
+    why, _ = failures(absent, sources.names("insdvl"), tmp_path)
+    assert {name for name in why if not sources.is_ashore(name)} == set()
+    told = set()
+    for name, reason in why.items():
+        match = re.fullmatch(r"(\w+)[\w.]* is not installed: install insdvl\[(\w+)\]", reason)
+        assert match, f"{name}: {reason}"
+        package, extra = match.groups()
+        assert package in EXTRAS[extra]
+        told.add(extra)
+    assert told == extras
+
+
+def test_a_command_without_its_package_is_one_sentence(tmp_path: Path) -> None:
+    code = "import sys; sys.modules['rosbags'] = None; from insdvl.cli import main; "
+    result = subprocess.run(
+        [sys.executable, "-c", code + "sys.exit(main(['replay', 'bag']))"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+    )
+    assert result.returncode == 2, result.stderr
+    assert re.fullmatch(
+        r"insdvl replay: rosbags[\w.]* is not installed: install insdvl\[bags\]\n", result.stderr
+    )

@@ -37,13 +37,16 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-import joblib
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
+from insdvl.extras import extra
 from insdvl.files import archive, arrays, read, write
 from insdvl.kernels import source_digest
+
+with extra("jobs"):
+    import joblib
+    from threadpoolctl import threadpool_limits
 
 #: What a task gives.
 Result = Mapping[str, NDArray[Any]]

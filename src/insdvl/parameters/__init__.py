@@ -1,1 +1,1 @@
-"""How parameters are declared, checked and read from files."""
+"""Declaration of parameters, their checks, and parameter files of ROS 2."""

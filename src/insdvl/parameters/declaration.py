@@ -1,12 +1,12 @@
-"""Parameters: what every node and command can be told, declared once.
+"""Parameters of nodes and commands, each declared once.
 
 A group of parameters is a frozen dataclass whose fields are made by `parameter`, with unit, range
-and meaning. From these come the ROS declarations and descriptors, the check of a YAML file, the
-tables in docs/parameters.md and the example files. Groups nest; a nested field's full name is
-joined by dots (``dvl.lever_arm``).
+and meaning. The ROS declarations and descriptors, the checks of YAML files, the tables in
+docs/reference/parameters.md and the example files are all made from it. Groups nest; the full name
+of a nested field is joined by dots (``dvl.lever_arm``).
 
-A value is accepted exactly as ROS 2 accepts it: types are strict (``5`` is not a float), a list is
-of floats throughout. What is wrong is named, with its value and what is allowed.
+Types are strict, as in ROS 2: ``5`` is not a float, and a list of floats has only floats. An error
+names the parameter, the value and the allowed range.
 """
 
 import dataclasses
@@ -24,11 +24,11 @@ _Group = TypeVar("_Group")
 
 
 class ParameterError(ValueError):
-    """A parameter has an unknown name, a wrong type or a value out of its range."""
+    """A parameter has an unknown name, the wrong type or a value out of range."""
 
 
-#: Largest size of a number with a unit, where its parameter has no bound of its own: more than any
-#: vehicle, sensor or mission has, and little enough that squares and products stay finite.
+#: Largest magnitude of a value by its unit, for parameters without bounds of their own. It exceeds
+#: any vehicle, sensor or mission; squares and products of such values stay finite.
 WIDEST = MappingProxyType(
     {
         "s": 1e9,
@@ -59,14 +59,14 @@ def parameter(
     """A dataclass field that is a parameter.
 
     Args:
-        default: The value when nothing is given; its type is the parameter's type. A tuple of
-            floats or of strings is a list of them, and is not empty.
+        default: The default value; its type is the type of the parameter. A non-empty tuple of
+            floats or strings is a list.
         meaning: One sentence.
-        unit: SI unit of the value, empty for a plain number.
-        low: Smallest value allowed, also of each element of a list; see WIDEST if not given.
-        high: Largest value allowed, also of each element of a list; see WIDEST if not given.
-        above: The value must be larger than this.
-        choices: The strings allowed; empty for any.
+        unit: SI unit of the value, empty if it has none.
+        low: Smallest allowed value, or element of a list; by default from WIDEST.
+        high: Largest allowed value, or element of a list; by default from WIDEST.
+        above: The value must be greater than this.
+        choices: The allowed strings; empty for any.
         length: Number of elements of a list.
     """
     if unit in WIDEST:
@@ -108,7 +108,7 @@ class Declaration:
 
     @property
     def range_text(self) -> str:
-        """What values are allowed, in words; empty where any is."""
+        """The allowed values in words; empty if all are allowed."""
         if self.choices:
             return "one of " + ", ".join(self.choices)
         bounds = []
@@ -124,10 +124,10 @@ class Declaration:
         return text
 
     def check(self, value: Any) -> Any:
-        """The value as the dataclass keeps it (lists become tuples).
+        """The value as the dataclass stores it (lists become tuples).
 
         Raises:
-            ParameterError: It has the wrong type or is outside the range.
+            ParameterError: It has the wrong type or is out of range.
         """
         if type(self.default) is tuple:
             if isinstance(value, str) or not hasattr(value, "__iter__"):
@@ -146,11 +146,11 @@ class Declaration:
         if self.choices and value not in self.choices:
             raise self._out_of_range(value)
         if type(value) is str and "\0" in value:
-            raise ParameterError(f"parameter '{self.name}' must have no NUL, got {shown(value)}")
-        if type(value) is int and not -(2**63) <= value < 2**63:
             raise ParameterError(
-                f"parameter '{self.name}' must fit into 64 bits, got {shown(value)}"
+                f"parameter '{self.name}' must not contain NUL, got {shown(value)}"
             )
+        if type(value) is int and not -(2**63) <= value < 2**63:
+            raise ParameterError(f"parameter '{self.name}' must fit in 64 bits, got {shown(value)}")
         number = isinstance(value, int | float) and not isinstance(value, bool)
         if number and not self._allows(value):
             raise self._out_of_range(value)
@@ -165,8 +165,9 @@ class Declaration:
         )
 
     def _wrong_type(self, value: Any) -> ParameterError:
+        article = "an" if self.type_name == "int" else "a"
         return ParameterError(
-            f"parameter '{self.name}' must be a {self.type_name}, got {shown(value)} "
+            f"parameter '{self.name}' must be {article} {self.type_name}, got {shown(value)} "
             f"({type(value).__name__})"
         )
 
@@ -177,18 +178,18 @@ class Declaration:
 
 
 def check_frames(odom: str, base: str) -> None:
-    """What is related by an odometry are two frames with names."""
+    """Refuse frames of an odometry that are empty or equal."""
     for name, frame in (("odom_frame", odom), ("base_frame", base)):
         if not frame:
             raise ParameterError(f"parameter '{name}' must not be empty")
     if odom == base:
         raise ParameterError(
-            f"parameter 'base_frame' must be another one than odom_frame, got {shown(base)}"
+            f"parameter 'base_frame' must differ from odom_frame, got {shown(base)}"
         )
 
 
 def declarations(group: type[Any], prefix: str = "") -> Iterator[Declaration]:
-    """The parameters of a group, those of nested groups included, in their written order."""
+    """The parameters of a group and its nested groups, in the order of their definition."""
     types = typing.get_type_hints(group)
     for item in dataclasses.fields(group):
         name = prefix + item.name
@@ -199,10 +200,11 @@ def declarations(group: type[Any], prefix: str = "") -> Iterator[Declaration]:
 
 
 def build(group: type[_Group], values: Mapping[str, Any], prefix: str = "") -> _Group:
-    """A group from full names and values; what is not given takes its default.
+    """A group from full names and values; all others take their defaults.
 
     Raises:
-        ParameterError: An unknown name, a wrong type, a value out of range or a contradiction.
+        ParameterError: A name is unknown, a type is wrong, a value is out of range, or values
+            contradict each other.
     """
     known = {declaration.name: declaration for declaration in declarations(group, prefix)}
     for name in values:
@@ -229,7 +231,7 @@ def _build(
 
 
 def flatten(group: Any, prefix: str = "") -> dict[str, Any]:
-    """Full names and values of a group; `build` makes the group again from them."""
+    """Full names and values of a group; the inverse of `build`."""
     values: dict[str, Any] = {}
     for item in dataclasses.fields(group):
         value = getattr(group, item.name)
@@ -241,7 +243,7 @@ def flatten(group: Any, prefix: str = "") -> dict[str, Any]:
 
 
 def mount(sensor: str) -> Any:
-    """How a sensor is turned against the vehicle."""
+    """Parameter for the mounting rotation of a sensor."""
     return parameter(
         (0.0, 0.0, 0.0),
         f"Rotation from {sensor} axes to base_link axes, as roll, pitch, yaw of the {sensor} in "
@@ -254,7 +256,7 @@ def mount(sensor: str) -> Any:
 
 
 def lever_arm(sensor: str) -> Any:
-    """Where a sensor sits in the vehicle."""
+    """Parameter for the position of a sensor on the vehicle."""
     return parameter(
         (0.0, 0.0, 0.0),
         f"Position of the {sensor} in base_link.",

@@ -1,4 +1,4 @@
-"""Parameter files of ROS 2: sections by node, and in each the parameters of that node."""
+"""Parameter files of ROS 2, with one section per node."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -10,7 +10,7 @@ from insdvl.parameters.declaration import ParameterError, build
 
 _Group = TypeVar("_Group")
 
-#: Our nodes, by the names of their sections in a parameter file.
+#: Names of our nodes, and so of their sections in a parameter file.
 NODES = (
     "insdvl_filter",
     "insdvl_tuner",
@@ -20,34 +20,37 @@ NODES = (
     "insdvl_monitor",
 )
 
-#: Names that rclpy gives to every node; they are no parameters of ours.
+#: Parameters that rclpy gives to every node.
 ROS_NAMES = ("qos_overrides", "use_sim_time", "start_type_description_service")
 
 
 def is_ros_name(name: str) -> bool:
-    """Whether a parameter belongs to rclpy and not to us."""
+    """Whether a parameter belongs to rclpy."""
     return name.split(".")[0] in ROS_NAMES
 
 
 def load_section(path: Path, node: str, group: type[_Group], *, required: bool = False) -> _Group:
-    """A group from the sections of a ROS 2 parameter file that end in a node's name.
+    """A group of parameters from the sections of a ROS 2 parameter file that end in a node's name.
 
     Args:
         path: The file.
         node: Name of the node.
-        group: Its parameters.
-        required: Whether there must be such a section; otherwise all defaults hold without one.
+        group: Dataclass of its parameters.
+        required: Whether the section must exist; if not, a missing section means all defaults.
 
     Raises:
-        ParameterError: The file cannot be read or is no parameter file, the section is missing, or
-            `build` refuses it.
+        ParameterError: The file cannot be read or is not a parameter file, a required section is
+            missing, or `build` refuses the values.
     """
     try:
         document = yaml_files.load(path)
-    except (OSError, yaml_files.YamlError) as error:
+    except OSError as error:
+        reason = error.strerror or error
+        raise ParameterError(f"cannot read the parameter file {path}: {reason}") from error
+    except yaml_files.YamlError as error:
         raise ParameterError(f"cannot read the parameter file {path}: {error}") from error
     if not isinstance(document, dict):
-        raise ParameterError(f"{path} is no ROS 2 parameter file: it has no sections")
+        raise ParameterError(f"{path} is not a ROS 2 parameter file: it has no sections")
     values: dict[str, Any] = {}
     names = {section: str(section).rsplit("/", 1)[-1] for section in document}
     if required and node not in names.values():
@@ -55,21 +58,21 @@ def load_section(path: Path, node: str, group: type[_Group], *, required: bool =
             f"{path} has no section '/**/{node}'; it has {beginning(', '.join(map(str, document)))}"
         )
     for name in names.values():
-        # A node may have been renamed, to insdvl_filter_2 for one.
+        # A node may have been renamed, for example to insdvl_filter_2.
         if name.startswith("insdvl_") and not f"{name}_".startswith(tuple(f"{n}_" for n in NODES)):
-            raise ParameterError(f"{path}: no node is named {shown(name)}: {', '.join(NODES)}")
+            raise ParameterError(
+                f"{path}: unknown node {shown(name)}; known are {', '.join(NODES)}"
+            )
     for section, body in document.items():
         if names[section] != node:
             continue
         given = body.get("ros__parameters") if isinstance(body, dict) else None
         if not isinstance(given, dict) or len(body) > 1:
-            raise ParameterError(
-                f"{path}: section {section!r} must have 'ros__parameters' and nothing else"
-            )
+            raise ParameterError(f"{path}: section {section!r} must contain 'ros__parameters' only")
         for name, value in _full_names(given):
             if name in values and values[name] != value:
                 raise ParameterError(
-                    f"{path}, section {section!r}: parameter '{name}' is {shown(value)} here, and "
+                    f"{path}, section {section!r}: parameter '{name}' is {shown(value)}, but "
                     f"{shown(values[name])} above"
                 )
             values[name] = value

@@ -18,10 +18,8 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.rosbag2 import Reader, StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
-from rosbags.typesys.store import Typestore
 
+from insdvl.extras import extra
 from insdvl.messages.inputs import FIX, IMU, ODOMETRY, TWIST, TWIST_WITH_COVARIANCE
 from insdvl.navigation.events import NS
 from insdvl.recordings.checks import (
@@ -31,6 +29,11 @@ from insdvl.recordings.checks import (
     check_folder,
 )
 from insdvl.recordings.parameters import ReplayParameters
+
+with extra("bags"):
+    from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+    from rosbags.typesys.store import Typestore
 
 #: What is played of a recording: the parameter that names the recorded topic, the topic that the
 #: nodes know it by, and its type.

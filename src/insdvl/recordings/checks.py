@@ -13,12 +13,14 @@ from pathlib import Path, PurePath
 from typing import Any
 from urllib.parse import quote
 
-import lz4.frame
-from rosbags.rosbag2 import storage_mcap
-
 from insdvl import yaml_files
+from insdvl.extras import extra
 from insdvl.files import shown
 from insdvl.yaml_files import YamlError
+
+with extra("bags"):
+    import lz4.frame
+    from rosbags.rosbag2 import storage_mcap
 
 #: Of an MCAP chunk, decompressed. A recorder ends a chunk at some megabytes, and a message of our
 #: topics has less than a kilobyte.

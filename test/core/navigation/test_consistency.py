@@ -80,7 +80,7 @@ class Case:
         return [n // 4 - 1, n // 2 - 1, n - 1]
 
 
-# `ned` is consistent for small errors of the heading only (docs/error-state.md).
+# `ned` is consistent for small errors of the heading only (docs/explanation/error-state.md).
 CASES = [
     Case("invariant", "body", np.radians(5.0), 0.02, 1e-3, 120.0),
     Case("invariant", "nav", np.radians(5.0), 0.02, 1e-3, 120.0),
@@ -205,7 +205,7 @@ def block_errors(
 
 
 def show(case: Case, nees: dict[str, np.ndarray]) -> None:
-    """The figures of docs/error-state.md; pytest shows them with -rP."""
+    """The figures of docs/explanation/error-state.md; pytest shows them with -rP."""
     for name, degrees in BLOCKS.items():
         print(f"{case.error_state}, {name}: NEES per dof {nees[name].mean(axis=0) / degrees}")
 

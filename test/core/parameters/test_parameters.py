@@ -14,7 +14,7 @@ from insdvl.navigation.events import Imu, ProcessNoise
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import ParameterError, build, declarations, flatten, parameter
-from insdvl.parameters.sections import load_section
+from insdvl.parameters.sections import NODES, load_section
 from insdvl.recordings.parameters import ReplayParameters
 from insdvl.simulation.parameters import SimulatorParameters
 from insdvl.studies.faults.link import RelayParameters
@@ -52,8 +52,8 @@ def test_what_is_given_replaces_the_default_and_nothing_else() -> None:
     [
         ("count", 0, "'count' must be >= 1 and <= 9, got 0"),
         ("count", 10, "'count' must be >= 1 and <= 9, got 10"),
-        ("count", 3.0, "'count' must be a int, got 3.0"),
-        ("count", True, "'count' must be a int, got True"),
+        ("count", 3.0, "'count' must be an int, got 3.0"),
+        ("count", True, "'count' must be an int, got True"),
         ("on", 1, "'on' must be a bool, got 1"),
         ("on", "true", "'on' must be a bool, got 'true'"),
         ("mode", "quick", "'mode' must be one of fast, slow, got 'quick'"),
@@ -88,7 +88,7 @@ CONTRADICTIONS = [
     (FilterParameters, {"imu.max_gap": 0.01}, "'imu.max_gap' must be longer than the interval"),
     (FilterParameters, {"odom_frame": ""}, "'odom_frame' must not be empty"),
     (FilterParameters, {"base_frame": ""}, "'base_frame' must not be empty"),
-    (FilterParameters, {"base_frame": "odom"}, "'base_frame' must be another one than odom_frame"),
+    (FilterParameters, {"base_frame": "odom"}, "'base_frame' must differ from odom_frame"),
     (FilterParameters, {"initial.topic": ""}, "'initial.topic' must be a topic"),
     (FilterParameters, {"initial.topic": "a b"}, "'initial.topic' must be a topic"),
     (FilterParameters, {"initial.topic": "imu/data_raw"}, "none of imu/data_raw"),
@@ -124,7 +124,7 @@ CONTRADICTIONS = [
         "'process_noise.gyroscope_floor' must be at most gyroscope_ceiling",
     ),
     (FilterParameters, {"imu.acceleration_range": 9.8}, "must be 0 or more than gravity"),
-    (SimulatorParameters, {"base_frame": "odom"}, "'base_frame' must be another one"),
+    (SimulatorParameters, {"base_frame": "odom"}, "'base_frame' must differ from odom_frame"),
     (SimulatorParameters, {"noise.profile": "file"}, "'noise.file' must name a file if"),
     (SimulatorParameters, {"noise.file": "a.csv"}, "and only then; got 'a.csv'"),
     (SimulatorParameters, {"dvl.outages": [1.0, 2.0, 3.0]}, "'dvl.outages' must be pairs"),
@@ -249,13 +249,16 @@ def test_a_section_gives_its_node_its_values(tmp_path: Path) -> None:
         ("[1, 2", "cannot read the parameter file"),
         ("", "it has no sections"),
         ("- 1", "it has no sections"),
-        ("/**/insdvl_filter: 5", "must have 'ros__parameters'"),
-        ("/**/insdvl_filter: {parameters: {}}", "must have 'ros__parameters'"),
-        ("/**/insdvl_filter: {ros__parameters: {}, imu: {}}", "'ros__parameters' and nothing else"),
+        ("/**/insdvl_filter: 5", "must contain 'ros__parameters' only"),
+        ("/**/insdvl_filter: {parameters: {}}", "must contain 'ros__parameters' only"),
+        (
+            "/**/insdvl_filter: {ros__parameters: {}, imu: {}}",
+            "must contain 'ros__parameters' only",
+        ),
         ("/**/insdvl_filtr: {ros__parameters: {}}", "no section '/\\*\\*/insdvl_filter'"),
         (
             "{/**/insdvl_filter: {ros__parameters: {}}, /**/insdvl_tunner: {ros__parameters: {}}}",
-            "no node is named 'insdvl_tunner': insdvl_filter, insdvl_tuner",
+            "unknown node 'insdvl_tunner'; known are insdvl_filter, insdvl_tuner",
         ),
         ("/**: {ros__parameters: {}}", r"no section '/\*\*/insdvl_filter'; it has /\*\*"),
         ("/a/insdvl_filter: {ros__parameters: {max_dealy: 1.0}}", "unknown parameter 'max_dealy'"),
@@ -284,6 +287,18 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
 def test_the_generated_files_are_up_to_date() -> None:
     for path, content in parameter_page.files():
         assert (ROOT / path).read_text(encoding="utf-8") == content, path
+
+
+def test_the_ten_to_set_are_parameters_of_the_filter_with_a_reason() -> None:
+    assert len(parameter_page.TO_SET) == 10
+    assert parameter_page.TO_SET.keys() <= {d.name for d in declarations(FilterParameters)}
+    assert all(why.endswith(".") for why in parameter_page.TO_SET.values())
+    headings = [line for line in parameter_page.markdown().splitlines() if line.startswith("## ")]
+    assert headings == ["## The ten that you set", *(f"## {node}" for node in SECTIONS)]
+
+
+def test_every_node_of_ours_has_its_parameters_on_the_page() -> None:
+    assert SECTIONS.keys() == set(NODES)
 
 
 @pytest.mark.parametrize("node", SECTIONS)

@@ -259,7 +259,7 @@ def test_noise_file_by_parameter(tmp_path):
         ({"dvl.outlier_probability": 1.5}, r"'dvl\.outlier_probability' must be"),
         ({"trajectory": "square"}, r"'trajectory' must be one of straight"),
         ({"seed": -1}, r"'seed' must be >= 0"),
-        ({"seed": 1.0}, r"'seed' must be a int"),
+        ({"seed": 1.0}, r"'seed' must be an int"),
     ],
 )
 def test_wrong_parameters_are_named(values, message):

@@ -176,7 +176,7 @@ def test_a_place_that_cannot_be_written_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
     assert main(["evaluate", "--json", str(tmp_path / "no" / "numbers.json")]) == 2
-    assert "is no folder" in capsys.readouterr().err
+    assert "is not a folder" in capsys.readouterr().err
 
 
 def scores(failures: dict[str, list[int]], runs: int = 20) -> dict[str, np.ndarray]:

@@ -488,8 +488,8 @@ BAD_INPUT = {
         with_option("--inject-noise", "1,2,1,2", "--seed", "-1"),
         "--seed must be >= 0, got -1",
     ),
-    "nowhere to write": (with_option("--json", "absent/a.json"), "absent is no folder"),
-    "a folder in the way": (with_option("--json", "/"), "--json /: it is a folder"),
+    "nowhere to write": (with_option("--json", "absent/a.json"), "absent is not a folder"),
+    "a folder in the way": (with_option("--json", "/"), "--json /: is a folder"),
     "an output that is there": (with_option("--out", "/"), "/ exists already"),
 }
 

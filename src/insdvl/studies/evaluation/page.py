@@ -304,7 +304,7 @@ range of their training (`hcf paper`, `dnn`) do no better inside it and worse ou
 
 Where the closed form fails is motion that no polynomial follows over a window, as on the
 [real vehicle](#a-real-vehicle). There the tuner's bound by differences of a high order
-([tuner.md](tuner.md)) is what helps, not learning.
+([tuner.md](explanation/tuner.md)) is what helps, not learning.
 
 What is left between learned and oracle is lateness: a change is noticed when the window has seen
 it, and told within the second after. Until then a filter whose noise has grown believes too much,

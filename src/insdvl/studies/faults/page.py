@@ -65,8 +65,8 @@ the output finite, the covariance of the error state symmetric and positive defi
 published stamps rising, and no valid message may be lost: each valid IMU sample is in the output
 with its stamp, each valid DVL measurement was judged. Of processes the output is looked at in the
 same way where a row has errors: finite, with positive variances of the velocity, stamps rising, no
-sample lost. What each reason means is in [diagnostics.md](diagnostics.md),
-why the filter does what it does in [filter.md](filter.md).
+sample lost. What each reason means is in [diagnostics.md](reference/diagnostics.md),
+why the filter does what it does in [filter.md](explanation/filter.md).
 """
 
 

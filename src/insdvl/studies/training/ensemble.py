@@ -6,19 +6,22 @@
 from collections.abc import Callable
 from typing import Any
 
-import joblib
 import numpy as np
 import scipy
-import sklearn
 from numpy.typing import NDArray
-from sklearn.ensemble import BaggingRegressor, ExtraTreesRegressor, RandomForestRegressor
-from sklearn.tree import DecisionTreeRegressor
 
+from insdvl.extras import extra
 from insdvl.jobs.parallel import Pool, Result, Store
 from insdvl.studies.training import dataset, procedure
 from insdvl.studies.training.dataset import Indices, Recipe
 from insdvl.studies.training.procedure import Method
 from insdvl.tuner.forest import LEAF, Forest, ForestError
+
+with extra("train"):
+    import joblib
+    import sklearn
+    from sklearn.ensemble import BaggingRegressor, ExtraTreesRegressor, RandomForestRegressor
+    from sklearn.tree import DecisionTreeRegressor
 
 Array = NDArray[np.float64]
 

@@ -36,6 +36,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from insdvl.extras import extra
 from insdvl.jobs.parallel import Pool, Result, Store
 from insdvl.studies.training import dataset, procedure
 from insdvl.studies.training.dataset import Indices, Recipe
@@ -91,8 +92,9 @@ def fit(
         dense layer ``w4`` (1, 30 n) for the n samples that are left, ``b4`` (1,); and, where
         answers are absolute, ``gain`` (1,), which the softplus of the dense layer is multiplied by.
     """
-    import torch
-    from torch.nn import functional
+    with extra("dnn"):
+        import torch
+        from torch.nn import functional
 
     torch.set_num_threads(1)
     torch.use_deterministic_algorithms(True)
@@ -181,7 +183,8 @@ def to_onnx(weights: Mapping[str, NDArray[np.float32]], window: int) -> bytes:
         weights: See `fit`.
         window: Number of samples N of a row.
     """
-    from onnx import TensorProto, checker, helper, numpy_helper
+    with extra("dnn"):
+        from onnx import TensorProto, checker, helper, numpy_helper
 
     nodes = [helper.make_node("Unsqueeze", ["window", "channel"], ["x0"])]
     for layer in range(1, CONVOLUTIONS + 1):
