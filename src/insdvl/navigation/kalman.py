@@ -95,19 +95,37 @@ def _gain(P: Array, H: Array, R: Array, nu: Array, S: Array, K: Array) -> float:
 
 @kernel
 def _inverse(S: Array, S_inv: Array) -> bool:
-    """Inverse of a symmetric matrix (3, 3); False where it is not positive definite."""
-    minor = S[0, 0] * S[1, 1] - S[0, 1] * S[0, 1]
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        for a in range(3):
-            b, d = (a + 1) % 3, (a + 2) % 3
-            S_inv[i, a] = S[j, b] * S[k, d] - S[j, d] * S[k, b]
-    determinant = S[0, 0] * S_inv[0, 0] + S[0, 1] * S_inv[0, 1] + S[0, 2] * S_inv[0, 2]
-    if not (S[0, 0] > 0.0 and minor > 0.0 and determinant > 0.0):
-        return False
-    for i in range(3):
-        for a in range(3):
-            S_inv[i, a] /= determinant
+    """Inverse of a symmetric matrix (m, m) by Cholesky; False where it is not positive definite.
+
+    S = L L^T, and S^-1 = L^-T L^-1.
+    """
+    m = S.shape[0]
+    L, L_inv = np.zeros((m, m)), np.zeros((m, m))
+    for i in range(m):
+        for j in range(i + 1):
+            total = S[i, j]
+            for k in range(j):
+                total -= L[i, k] * L[j, k]
+            if i > j:
+                L[i, j] = total / L[j, j]
+            elif total > 0.0:  # nan is not
+                L[i, i] = np.sqrt(total)
+            else:
+                return False
+    for j in range(m):
+        L_inv[j, j] = 1.0 / L[j, j]
+        for i in range(j + 1, m):
+            total = 0.0
+            for k in range(j, i):
+                total -= L[i, k] * L_inv[k, j]
+            L_inv[i, j] = total / L[i, i]
+    for i in range(m):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(i, m):
+                total += L_inv[k, i] * L_inv[k, j]
+            S_inv[i, j] = total
+            S_inv[j, i] = total
     return True
 
 
