@@ -5,6 +5,7 @@ methods advance in place. `timeline.fold.Fold` decides the order in which they a
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -224,7 +225,7 @@ class Filter:
         for block in blocks:
             at = self.vehicle.optional(block.name)
             c["variance"][at], c["decay"][at] = np.square(block.std), 1.0 / block.time_constant
-        self.models: dict[str, SensorModel[Measurement]] = {}
+        self.models: dict[str, SensorModel[Any]] = {}
         self._gates: dict[str, Gate] = {}
         for name, sensor in parameters.sensors.items():
             self.models[name] = sensor.model(self.vehicle)
@@ -352,9 +353,7 @@ class Filter:
         """
         s, model, gate = state[0], self.models[event.name], self._gates[event.name]
         memory, stamp_ns = s["gate"][event.name], event.stamp_ns
-        reading = model.reading(event)
-        reason = model.refusal(s, event, memory["reading"][: model.rows])
-        memory["reading"][: model.rows] = reading
+        reason = model.refusal(event, self._repeats(memory, model.reading(event)))
         if not s["nav"]["initialised"]:
             reason = "not_initialised"
         if reason:
@@ -373,6 +372,14 @@ class Filter:
             self._correct(state, event, turn, now)
         memory["judged_ns"] = stamp_ns
         return report
+
+    @staticmethod
+    def _repeats(memory: State, reading: Array) -> int:
+        """Remember a reading; returns how many before it were equal to it, in a row."""
+        m = len(reading)
+        repeats = int(memory["repeats"]) + 1 if (reading == memory["reading"][:m]).all() else 0
+        memory["reading"][:m], memory["repeats"] = reading, repeats
+        return repeats
 
     def _correct(self, state: Records, event: Measurement, turn: Turn, now: Innovated) -> None:
         s, model, stamp_ns, nis = state[0], self.models[event.name], event.stamp_ns, now.nis

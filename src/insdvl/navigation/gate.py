@@ -6,6 +6,7 @@ docs/explanation/filter.md.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.special import expit
@@ -14,7 +15,7 @@ from scipy.stats import chi2
 from insdvl.arrays import Array
 from insdvl.navigation import kalman
 from insdvl.navigation.channels import in_doubt
-from insdvl.navigation.events import NS, Measurement
+from insdvl.navigation.events import NS
 from insdvl.navigation.kalman import Innovated
 from insdvl.navigation.measurements.base import SensorModel
 from insdvl.navigation.state import NEVER, Constants, State
@@ -25,10 +26,9 @@ FAULT = 1.5
 #: A trusted filter may reject for so long [ns] what need not be a fault of the sensor; a longer
 #: interval between measurements bears nothing out; two steps farther apart are no drift.
 LEAST_PATIENCE_NS = 5 * NS
-#: A running mean of the NIS, over so many measurements, that a filter of honest covariance has
-#: above the limit once in 10,000 measurements, and one of half the covariance in every fifth. For
-#: three rows; other measurements have the same share above their mean.
-NIS_MEMORY, NIS_LIMIT = 5.0, 7.0 / 3.0
+#: Memory of the running mean of the NIS [measurements], and the probability that a filter of honest
+#: covariance has it above the limit.
+NIS_MEMORY, NIS_TAIL = 5.0, 1e-4
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Gate:
         self,
         parameters: GateParameters,
         name: str,
-        model: SensorModel[Measurement],
+        model: SensorModel[Any],
         constants: Constants,
     ) -> None:
         self._name = name
@@ -76,7 +76,7 @@ class Gate:
         self._constants = constants
         m = model.rows
         self._limit = float(chi2.ppf(parameters.probability, m)) if parameters.enabled else np.inf
-        self._nis_limit = NIS_LIMIT * m
+        self._nis_limit = _nis_limit(m)
         self._patience_ns = round(parameters.max_rejection_time * NS)
 
     def start(self, s: State) -> None:
@@ -267,6 +267,16 @@ class Gate:
         self._bear_out(s, stamp_ns)
         s["counters"]["restarts"] += 1
         return True, "restarted"
+
+
+def _nis_limit(m: int) -> float:
+    """Limit of the running mean of the NIS of m rows; 7.0 for three.
+
+    An exponential mean of memory N has the variance of chi-square over 2 N - 1, so it is as a
+    chi-square of (2 N - 1) m degrees of freedom, scaled to the mean m.
+    """
+    count = 2.0 * NIS_MEMORY - 1.0
+    return float(chi2.isf(NIS_TAIL, count * m) / count)
 
 
 def _trust_sensor(g: State) -> None:

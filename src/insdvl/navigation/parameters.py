@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from insdvl.navigation.channels import ImuParameters
 from insdvl.navigation.gate import GateParameters
 from insdvl.navigation.measurements.base import SensorParameters
+from insdvl.navigation.measurements.depth import DepthParameters
 from insdvl.navigation.measurements.dvl import DvlParameters
 from insdvl.navigation.process_noise.parameters import ProcessNoiseParameters
 from insdvl.navigation.start import InitialParameters, OriginParameters
@@ -81,6 +82,7 @@ class FilterParameters:
     )
     imu: ImuParameters = field(default_factory=ImuParameters)
     dvl: DvlParameters = field(default_factory=DvlParameters)
+    depth: DepthParameters = field(default_factory=DepthParameters)
     gate: GateParameters = field(default_factory=GateParameters)
     process_noise: ProcessNoiseParameters = field(default_factory=ProcessNoiseParameters)
     initial: InitialParameters = field(default_factory=InitialParameters)

@@ -96,6 +96,7 @@ _GATE = (
     Field("judged_ns", STAMP),
     Field("accepted_ns", STAMP),
     Field("reading", UNKNOWN, (MAX_ROWS,)),
+    Field("repeats", COUNT),  # how many before it were equal to it, in a row
     Field("left", NUMBER, (MAX_ROWS,)),  # innovation that the last accepted one left
     Field("nis", NUMBER),  # running mean over those accepted
     # For how long the sensor has borne the filter out [ns], rejections in a row, for how long they

@@ -15,7 +15,7 @@ whole example.
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
@@ -130,13 +130,12 @@ class SensorModel(ABC, Generic[_Event]):
         """(m,) what was read, to tell whether it repeats the last one."""
 
     @abstractmethod
-    def refusal(self, s: State, event: _Event, last: Array) -> str:
+    def refusal(self, event: _Event, repeats: int) -> str:
         """Why the measurement says by itself that it is none; empty where it does not.
 
         Args:
-            s: State before the measurement.
             event: The measurement.
-            last: (m,) the reading before, nan before the first.
+            repeats: How many readings in a row before it were equal to it.
         """
 
     @abstractmethod
@@ -193,6 +192,6 @@ class SensorParameters:
         """The optional blocks that are in use."""
         return ()
 
-    def model(self, vehicle: Vehicle) -> "SensorModel[Measurement]":
+    def model(self, vehicle: Vehicle) -> "SensorModel[Any]":
         """The sensor's model in a vehicle."""
         raise TypeError(f"{type(self).__name__} has no model")

@@ -117,7 +117,7 @@ class DvlParameters(SensorParameters):
             return ()
         return (Block("dvl_error", (self.bias_std,) * 3, self.bias_time_constant),)
 
-    def model(self, vehicle: Vehicle) -> SensorModel[Dvl]:  # type: ignore[override]
+    def model(self, vehicle: Vehicle) -> "DvlModel":
         """The DVL in a vehicle."""
         return DvlModel(self, vehicle)
 
@@ -149,13 +149,13 @@ class DvlModel(SensorModel[Dvl]):
         """The velocity."""
         return event.v_d
 
-    def refusal(self, s: State, event: Dvl, last: Array) -> str:
+    def refusal(self, event: Dvl, repeats: int) -> str:
         """``no_lock`` or ``repeated``: what a DVL without bottom lock reports."""
         if not self._lock_check:
             return ""
         if not event.v_d.any():
             return "no_lock"
-        return "repeated" if (event.v_d == last).all() else ""
+        return "repeated" if repeats else ""
 
     def linearise(self, state: Records, event: Dvl, turn: Turn) -> Linearised:
         """h = C_d_b (C_b_n v_n + w_nb_b x l) + b_d,  w_nb_b = w_ib_b - b_w - C_b_n w_in_n.

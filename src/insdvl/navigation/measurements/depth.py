@@ -1,0 +1,222 @@
+"""The depth below the water's surface, from a pressure sensor or as a height that somebody tells.
+
+    h = h_s - (h_0 - p_D),  p_D = [p_n + C_n_b l]_D
+
+h_s is the height of the surface above the ellipsoid, h_0 that of odom's origin, l the arm from the
+IMU to the sensor. The surface is an optional error state: with a large prior sigma it is unknown,
+and the first depth tells it, to within the filter's own height; with a sigma of zero it is known.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from insdvl.arrays import Array, Records
+from insdvl.navigation import error_state
+from insdvl.navigation.error_state import ACCELEROMETER_BIAS, ATTITUDE, POSITION, VELOCITY
+from insdvl.navigation.events import MAX_DISTANCE, MAX_VARIANCE, Limits, Measurement
+from insdvl.navigation.geometry.earth import gravity
+from insdvl.navigation.measurements.base import (
+    Block,
+    Linearised,
+    SensorModel,
+    SensorParameters,
+    Turn,
+    Vehicle,
+)
+from insdvl.navigation.state import State
+from insdvl.parameters.declaration import lever_arm, parameter
+
+#: Gravity [m/s^2] with which a pressure is turned into a depth before the latitude is known.
+STANDARD_GRAVITY = 9.80665
+
+_DOWN = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Depth(Measurement):
+    """Depth of a sensor below the water's surface.
+
+    Attributes:
+        depth: [m], positive below the surface.
+        variance: [m^2]; None takes the parameter ``depth.noise_std``.
+        from_pressure: Whether it was computed from a pressure with `STANDARD_GRAVITY`; the gravity
+            of the place replaces it.
+    """
+
+    depth: float
+    variance: float | None = None
+    from_pressure: bool = False
+
+    name = "depth"
+    kind = Measurement.FIRST + 1
+
+    def payload(self) -> bytes:
+        """All numbers."""
+        variance = np.nan if self.variance is None else self.variance
+        return np.array([self.depth, variance, float(self.from_pressure)]).tobytes()
+
+    def limits(self) -> Limits:
+        """Where no vehicle is."""
+        variance = None if self.variance is None else np.array([self.variance])
+        return (np.array([self.depth]), MAX_DISTANCE), (variance, MAX_VARIANCE)
+
+
+@dataclass(frozen=True)
+class DepthParameters(SensorParameters):
+    """The depth sensor: a pressure sensor, or the height in a pose or an odometry."""
+
+    topic: str = parameter(
+        "",
+        "Topic of the depth, of the type that is found on it: sensor_msgs/FluidPressure, "
+        "geometry_msgs/PoseWithCovarianceStamped or nav_msgs/Odometry (their z). Empty for none.",
+    )
+    frame_id: str = parameter(
+        "", "A measurement of any other frame_id is refused as 'wrong_frame'; empty for any."
+    )
+    lever_arm: tuple[float, ...] = lever_arm("depth sensor")
+    noise_std: float = parameter(
+        0.02,
+        "Noise of the depth, one sigma; a variance in the message replaces it.",
+        unit="m",
+        low=1e-6,
+    )
+    water_density: float = parameter(
+        1025.0,
+        "Density of the water; fresh water has 998.",
+        unit="kg/m^3",
+        low=900.0,
+        high=1300.0,
+    )
+    atmospheric_pressure: float = parameter(
+        101_325.0,
+        "Pressure at the surface, which the sensor measures as well; 0 for a gauge that does not.",
+        unit="Pa",
+        low=0.0,
+        high=120_000.0,
+    )
+    min_depth: float = parameter(
+        0.3,
+        "A pressure of a shallower depth is refused as 'in_air': on deck, or of another unit than "
+        "Pa. The weather changes the pressure by as much as 0.3 m of water.",
+        unit="m",
+        low=-100.0,
+        high=100.0,
+    )
+    surface_height: float = parameter(
+        0.0,
+        "Height of the water's surface above the ellipsoid, as origin.height.",
+        unit="m",
+        low=-12_000.0,
+        high=100_000.0,
+    )
+    surface_std: float = parameter(
+        10_000.0,
+        "One sigma of surface_height. As large as the default the surface is unknown, and is taken "
+        "from the filter's height at the first depth; 0 where it is known.",
+        unit="m",
+        low=0.0,
+        high=100_000.0,
+    )
+    frozen_samples: int = parameter(
+        100,
+        "This many exactly equal depths in a row, and those that follow, are refused as 'frozen'; "
+        "0 for never.",
+        low=0,
+        high=1_000_000,
+    )
+
+    EVENT = Depth
+    ROOM: ClassVar[Mapping[str, int]] = {"surface": 1}
+
+    def blocks(self) -> tuple[Block, ...]:
+        """The height of the surface, where there is a sensor and it is not known."""
+        if not self.topic or self.surface_std == 0.0:
+            return ()
+        return (Block("surface", (self.surface_std,), initial=(self.surface_height,)),)
+
+    def model(self, vehicle: Vehicle) -> "DepthModel":
+        """The sensor in a vehicle."""
+        return DepthModel(self, vehicle)
+
+
+class DepthModel(SensorModel[Depth]):
+    """Predicts what the depth sensor measures.
+
+    Args:
+        parameters: Of the sensor.
+        vehicle: That carries it.
+    """
+
+    rows = 1
+
+    def __init__(self, parameters: DepthParameters, vehicle: Vehicle) -> None:
+        self._parameters = parameters
+        self._vehicle = vehicle
+        self._l_b = vehicle.lever_arm(parameters.lever_arm)
+        self._surface = vehicle.blocks.get("surface")
+
+    def reading(self, event: Depth) -> Array:
+        """The depth."""
+        return np.array([event.depth])
+
+    def refusal(self, event: Depth, repeats: int) -> str:
+        """``frozen``: the same number again and again."""
+        least = self._parameters.frozen_samples
+        return "frozen" if 0 < least <= repeats + 1 else ""
+
+    def linearise(self, state: Records, event: Depth, turn: Turn) -> Linearised:
+        """h = h_s - h_0 + [p_n + C_n_b l]_D, H = [0, -[C_n_b l x]_D, 0, 0, e_D] and 1 for h_s.
+
+        The D row of [a x] is (-a_E, a_N, 0): tilt moves the sensor, a turn about the vertical does
+        not.
+        """
+        vehicle, nav, parameters = self._vehicle, state[0]["nav"], self._parameters
+        arm = nav["C_n_b"] @ self._l_b
+        surface = parameters.surface_height
+        H = np.zeros((1, vehicle.n))
+        H[0, ATTITUDE] = -error_state.cross_matrix(arm)[_DOWN]
+        H[0, POSITION.start + _DOWN] = 1.0
+        if self._surface is not None:
+            H[0, self._surface] = 1.0
+            surface = nav["optional"][vehicle.optional("surface")][0]
+        down = nav["p_n"][_DOWN] + arm[_DOWN]
+        scale = 1.0
+        if event.from_pressure:
+            scale = STANDARD_GRAVITY / gravity(nav["lat_0"], nav["h_0"] - down)
+        variance = event.variance
+        R = parameters.noise_std**2 if variance is None else variance * scale**2
+        predicted = surface - nav["h_0"] + down
+        return Linearised(np.array([event.depth * scale - predicted]), H, np.array([[R]]))
+
+    def drift(self, s: State, seconds: float) -> Array:
+        """Drift of the height by the vertical velocity, and the accelerometer's bias and noise."""
+        constants, nav = self._vehicle.constants[0], s["nav"]
+        P, C, Q_f = nav["P"], nav["C_n_b"], s["noise"]["Q_f"]
+        velocity = P[VELOCITY, VELOCITY][_DOWN, _DOWN]
+        bias = (C @ P[ACCELEROMETER_BIAS, ACCELEROMETER_BIAS] @ C.T)[_DOWN, _DOWN]
+        noise = constants["density"] * (C @ Q_f @ C.T)[_DOWN, _DOWN]
+        drift = seconds**2 * velocity + seconds**4 / 4.0 * bias + seconds**3 / 3.0 * noise
+        return np.array([[drift]])
+
+    def inflate(self, s: State, innovation: Array, seconds: float | None) -> None:
+        """Doubt the height, and the vertical velocity that may have led it astray."""
+        P, variance = s["nav"]["P"], float(innovation @ innovation)
+        down, rate = POSITION.start + _DOWN, VELOCITY.start + _DOWN
+        P[down, down] += variance
+        if seconds is not None:
+            P[rate, rate] += variance / seconds**2
+            P[down, rate] += variance / seconds
+            P[rate, down] += variance / seconds
+
+    def restart(self, s: State, innovation: Array, R: Array) -> None:
+        """The height becomes the measured one, independent of all else.
+
+        It is as uncertain as the two are apart, since one of them is wrong.
+        """
+        nav, down = s["nav"], POSITION.start + _DOWN
+        nav["p_n"][_DOWN] += innovation[0]
+        nav["P"][down, :] = nav["P"][:, down] = 0.0
+        nav["P"][down, down] = R[0, 0] + innovation[0] ** 2
