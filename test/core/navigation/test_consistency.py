@@ -35,8 +35,9 @@ from insdvl.navigation.parameters import (
 )
 from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.mission import ImuModel, simulate
+from insdvl.simulation.motion import Truth
 from insdvl.simulation.noise import constant
-from insdvl.simulation.trajectories import AUV, Truth
+from insdvl.simulation.trajectories import AUV
 from insdvl.timeline.recorded import fold_arrays
 
 FIRST_SEED = 31_415
@@ -156,7 +157,7 @@ def fly(case: Case) -> Study:
             seed=seed,
             duration=case.duration,
             imu=IMU,
-            dvl=DvlModel(noise_std=np.full(3, DVL_STD), l_b_dvl=np.array(LEVER_ARM)),
+            dvl=DvlModel(noise_std=np.full(3, DVL_STD), lever_arm=LEVER_ARM),
         )
         rng = np.random.default_rng([seed, 1])
         initial = drawn_initial(mission.initial, case, rng)

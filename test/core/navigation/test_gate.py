@@ -424,7 +424,7 @@ def test_a_burst_of_outliers_leaves_no_trace() -> None:
 
 def test_one_outlier_after_an_outage_restarts_nothing() -> None:
     """However long the last accepted measurement is ago: only rejections make the filter doubt."""
-    m = mission(duration=60.0, outages=((20.5, 50.5),))
+    m = mission(duration=60.0, outages=(20.5, 50.5))
     v_d = m.v_d.copy()
     v_d[20] += [30.0, 0.0, 0.0]
     result = fly(parameters(), m, v_d)
