@@ -24,11 +24,10 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from insdvl.arrays import Array
 from insdvl.files import archive
 from insdvl.files import arrays as arrays_of
 from insdvl.kernels import kernel
-
-Array = NDArray[np.float64]
 
 #: dtype and number of dimensions of the arrays of a file.
 ARRAYS = {

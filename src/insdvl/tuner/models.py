@@ -16,16 +16,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from insdvl.arrays import Array
 from insdvl.files import read, read_json, shown, write
 from insdvl.tuner import forest, network
 from insdvl.tuner.features.schemas import SCHEMAS, Schema
 from insdvl.tuner.forest import Forest
 from insdvl.tuner.network import Network
-
-Array = NDArray[np.float64]
 
 #: What a card must have, and of which type; the rest of it is for people.
 CARD_FIELDS = {

@@ -10,11 +10,9 @@ onnxruntime is imported when a network is loaded, not before: the trees do witho
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from insdvl.arrays import Array
 from insdvl.tuner import onnx_content
-
-Array = NDArray[np.float64]
 
 MAX_BYTES = 64 * 2**20  # of a file; those that ship have a thousandth of it
 

@@ -11,11 +11,10 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from insdvl.arrays import Array, Stamps
 from insdvl.navigation.events import NS
 from insdvl.tuner.windows import CHANNELS, period
 
-Array = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 Indices = NDArray[np.intp]
 
 #: Windows (M, N) of one channel each to the variances (M,) of their noise.

@@ -14,16 +14,14 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
-from numpy.typing import NDArray
 
+from insdvl.arrays import Array
 from insdvl.navigation.events import NS
 from insdvl.parameters.declaration import ParameterError
 from insdvl.tuner.features.differences import bounded
 from insdvl.tuner.models import load_model
 from insdvl.tuner.parameters import TunerParameters
 from insdvl.tuner.windows import CHANNELS, Window, period
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from insdvl.arrays import Array
 
 CHANNELS = 6  # specific force x, y, z, angular rate x, y, z
 

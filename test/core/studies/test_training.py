@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from insdvl import cli
-from insdvl.jobs import parallel
-from insdvl.jobs.parallel import Workers
+from insdvl.jobs.options import Workers
+from insdvl.jobs.pool import open_pool
 from insdvl.simulation.imu import ideal_imu
 from insdvl.simulation.trajectories import BASELINE
 from insdvl.studies.training import command, dataset, ensemble
@@ -33,8 +33,8 @@ def small() -> DataSet:
 
 
 def build(recipe: Recipe, jobs: int = 1) -> DataSet:
-    with parallel.pool(Workers(jobs=jobs)) as pool:
-        return dataset.build(recipe, pool)
+    with open_pool(Workers(jobs=jobs)) as pool:
+        return dataset.build_data_set(recipe, pool)
 
 
 def noise(trajectory: int, variance: int, seed: int) -> np.ndarray:
@@ -119,7 +119,7 @@ def test_the_trajectory_split_shares_no_trajectory(small, unseen):
 
 
 def train(seed: int, jobs: int) -> tuple[bytes, dict]:
-    with parallel.pool(Workers(jobs=jobs)) as pool:
+    with open_pool(Workers(jobs=jobs)) as pool:
         return ensemble.train("paper", 200, seed, pool, None, lambda text: None, N_WINDOWS)
 
 

@@ -126,7 +126,7 @@ def test_what_is_no_mean_of_regression_trees_is_refused():
     X, y = rng.standard_normal((50, 3)), rng.standard_normal((50, 2))
     for ensemble, message in (
         (BaggingRegressor(KNeighborsRegressor()).fit(X, y[:, 0]), "got KNeighborsRegressor"),
-        (RandomForestRegressor(3).fit(X, y), "must have one answer, got 2"),
+        (RandomForestRegressor(3).fit(X, y), "must have one output, got 2"),
         (GradientBoostingRegressor(n_estimators=3).fit(X, y[:, 0]), "must be a mean of trees"),
         (DecisionTreeRegressor().fit(X, y[:, 0]), "must be a mean of trees"),
     ):

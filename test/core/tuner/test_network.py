@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from insdvl import cli
-from insdvl.jobs import parallel
-from insdvl.jobs.parallel import Workers
+from insdvl.jobs.options import Workers
+from insdvl.jobs.pool import open_pool
 from insdvl.simulation.imu import ideal_imu
 from insdvl.simulation.trajectories import BASELINE
 from insdvl.studies.training import dataset
@@ -228,8 +228,8 @@ def test_a_shipped_network_and_its_card_belong_together(name):
 def test_a_shipped_network_does_as_its_card_says_on_data_of_another_seed(name, sign):
     """An RMSE over 3,600 new examples has a sigma of about 1.5 % of it: the bound is five."""
     model = load_model(name)
-    with parallel.pool(Workers(jobs=1)) as pool:
-        data = dataset.build(Recipe("window", 987_654, n_windows=10), pool)
+    with open_pool(Workers(jobs=1)) as pool:
+        data = dataset.build_data_set(Recipe("window", 987_654, n_windows=10), pool)
     measured = errors(model.variances(sign * data.X), data.q)
     stated = model.card["metrics"]["random_split"]
     assert measured["rmse"] == pytest.approx(stated["rmse"], rel=0.075)

@@ -261,7 +261,7 @@ def test_a_model_is_written_whole_or_not_at_all(model, monkeypatch):
 
 def test_prediction_needs_no_scikit_learn():
     program = (
-        "import sys; from insdvl.tuner.tuner import Tuner; from insdvl.parameters import "
+        "import sys; from insdvl.tuner.tuner import Tuner; from insdvl.tuner.parameters import "
         "TunerParameters; Tuner(TunerParameters()); print('sklearn' in sys.modules)"
     )
     ended = subprocess.run(

@@ -17,14 +17,12 @@ sufficient for q.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import softmax
 from scipy.stats import chi2
 
+from insdvl.arrays import Array
 from insdvl.tuner.features.detrend import residual_variances
 from insdvl.tuner.features.differences import difference_variances
-
-Array = NDArray[np.float64]
 
 DEGREE = 5
 

@@ -8,11 +8,9 @@ freedom.
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from insdvl.arrays import Array
 from insdvl.kernels import kernel
-
-Array = NDArray[np.float64]
 
 #: A std of at most this part of the window's largest |x| is rounding, about 50 times that of one
 #: sample.

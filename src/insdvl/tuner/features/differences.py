@@ -11,12 +11,10 @@ is precision: the differences are correlated with each other.
 from math import comb
 
 import numpy as np
-from numpy.typing import NDArray
 
+from insdvl.arrays import Array
 from insdvl.tuner.features.detrend import checked
 from insdvl.tuner.offline import Estimator
-
-Array = NDArray[np.float64]
 
 #: Of its relative error in white noise, how far the bound lies above the differences' variance.
 SIGMAS = 3.0

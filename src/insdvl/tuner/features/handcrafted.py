@@ -22,12 +22,10 @@ window that is accepted has defined, finite features.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from insdvl.arrays import Array
 from insdvl.kernels import kernel
 from insdvl.tuner.features.detrend import HUGE, ROUNDING, TINY
-
-Array = NDArray[np.float64]
 
 TRANSFORMATIONS = ("detrend", "zscore", "absolute")
 STATISTICS = ("min", "max", "median", "std", "mean", "kurtosis", "skewness", "second_largest")

@@ -30,14 +30,12 @@ range. The least that is possible for an unbiased estimator is 10.2 %.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from insdvl.arrays import Array
 from insdvl.kernels import kernel
 from insdvl.tuner.features.closed_form import DEGREE
 from insdvl.tuner.features.detrend import ROUNDING, checked, polynomials, residual
 from insdvl.tuner.features.handcrafted import median
-
-Array = NDArray[np.float64]
 
 RESIDUAL_FEATURE_NAMES = (
     *(f"residual_{s}" for s in ("min", "max", "median", "kurtosis", "skewness", "second_largest")),

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
+from insdvl.arrays import Array
 from insdvl.kernels import kernel
 from insdvl.tuner.features.closed_form import DEGREE
 from insdvl.tuner.features.detrend import checked, polynomials, residual
@@ -22,8 +22,6 @@ from insdvl.tuner.features.residual import (
     RESIDUAL_FEATURE_NAMES,
     residual_features,
 )
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
