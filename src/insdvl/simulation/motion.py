@@ -1,18 +1,18 @@
 """Truth as functions of time.
 
-A trajectory is four scalar functions, speed u(t), heading psi(t), pitch theta(t) and roll, each a
-sum of soft ramps and sine waves, which are analytic on the whole time axis. Everything else follows
-in closed form from them and their first derivatives (and heading's second):
+A trajectory is four scalar functions: speed u(t), heading psi(t), pitch theta(t) and roll. Each is
+a sum of soft ramps and sine waves, which are analytic on the whole time axis. All other quantities
+follow in closed form from the functions and their derivatives:
 
-    v_b  = [u, -pivot psi', 0]            the vehicle slips outwards in a turn
-    phi  = roll + bank psi'               and leans
+    v_b  = [u, -pivot psi', 0]            sideslip in a turn
+    phi  = roll + bank psi'               bank in a turn
     v_n  = C_n_b v_b
     a_n  = C_n_b (v_b' + w_nb_b x v_b)
     f_b  = C_b_n (a_n + (2 w_ie_n + w_en_n) x v_n - g_n)
     w_ib_b = w_nb_b + C_b_n (w_ie_n + w_en_n)
 
-Position is the one integral without a closed form. v_n is expanded in Legendre polynomials on
-segments of one second, at the Gauss nodes, and the expansions are integrated: the error is that of
+Position is the only integral without a closed form. v_n is expanded in Legendre polynomials on
+segments of one second, at the Gauss nodes, and the expansions are integrated; the error is at the
 rounding (below 1e-10 m in an hour).
 
 Sources: the Euler rates are Groves (2013), equation (2.58); f_b and w_ib_b are (5.53) and (5.44)
@@ -34,18 +34,18 @@ from insdvl.navigation.geometry.earth import earth_rate_n, gravity, latitude, tr
 
 Tables = tuple[Array, Array, Array]
 
-_NODES = 20  # per segment; the expansion of v_n then ends far below the rounding
+_NODES = 20  # per segment; the truncation of v_n is then far below the rounding
 _SEGMENT = 1.0  # s
 _FAR = 40.0  # exp(-40) is below the rounding of 1
 
 
 @dataclass(frozen=True)
 class Ramp:
-    """A change that starts and ends softly; between, the rate is constant.
+    """A change with a soft start and end, and a constant rate in between.
 
     Attributes:
-        start: Where the rate has risen to one half of its value [s].
-        end: Where the rate has fallen to one half of its value [s].
+        start: Time at which the rate has risen to half of its value [s].
+        end: Time at which the rate has fallen to half of its value [s].
         change: Change over the whole ramp, in the unit of the function.
         softness: Time constant of the logistic function that the rate follows [s].
     """
@@ -70,7 +70,7 @@ class Channel:
     """A function of time: value + slope t + ramps + waves.
 
     Attributes:
-        value: Constant part. Ramps are counted from t = 0, so that they add nothing there.
+        value: Value at t = 0 without waves: ramps add nothing there.
         slope: Constant rate [1/s].
     """
 
@@ -81,7 +81,7 @@ class Channel:
 
     @cached_property
     def tables(self) -> Tables:
-        """What `_channel` reads: (value, slope); knots (K, 3); waves (W, 3).
+        """Tables for `_channel`: (value, slope); knots (K, 3); waves (W, 3).
 
         A knot is (time, softness, change of rate): a ramp is a pair of them.
         """
@@ -123,17 +123,16 @@ class Truth:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """A motion from t = 0 to `duration`, and where on the Earth it happens.
+    """A motion from t = 0 to `duration`, and its place on the Earth.
 
     Attributes:
         duration: [s].
         speed: Forward velocity u [m/s].
         heading: psi [rad].
         pitch: theta [rad].
-        roll: Part of phi that does not come from turning [rad].
+        roll: Part of phi without the bank in turns [rad].
         bank: Roll per rate of turn [s].
-        pivot: The point that moves straight ahead in a turn is this far ahead of the origin of the
-            body frame [m].
+        pivot: Distance from the origin of the body frame forward to the point without sideslip [m].
         lat_0: Geodetic latitude of p_n = 0 [rad].
         lon_0: Longitude of p_n = 0 [rad].
         h_0: Height of p_n = 0 above the ellipsoid [m].
@@ -155,11 +154,11 @@ class Trajectory:
 
         Args:
             t: Times within [0, duration].
-            earth_rate: False leaves out the rotation of the Earth and the transport rate: w_ie and
-                w_en are zero.
+            earth_rate: False omits the rotation of the Earth and the transport rate (w_ie = w_en
+                = 0).
 
         Raises:
-            ValueError: A time is not within the trajectory.
+            ValueError: A time is outside the trajectory.
         """
         t = np.array(t, dtype=float)
         outside = ~((t >= 0.0) & (t <= self.duration))
@@ -219,7 +218,7 @@ class Trajectory:
         scratch = np.empty((t.size, 3))
         C_n_b = np.empty((t.size, 3, 3))
         self._fill_motion(t.ravel(), C_n_b, v_n, scratch, scratch)
-        # Gauss quadrature of v_n P_k is exact for all that the nodes resolve.
+        # Gauss quadrature of v_n P_k is exact up to the resolution of the nodes.
         projection = legendre.legvander(x, _NODES - 1).T * w
         projection *= (np.arange(_NODES) + 0.5)[:, None]
         coefficients = projection @ v_n.reshape(segments, _NODES, 3)

@@ -1,4 +1,4 @@
-"""The trajectories by name: those that the tuner learns on, the unseen test, and two for tests."""
+"""The named trajectories: those of the training, the unseen test, and two for unit tests."""
 
 import math
 from math import radians
@@ -25,7 +25,7 @@ def _lawn_mower() -> Trajectory:
     )
 
 
-#: The trajectories that the tuner learns on.
+#: Trajectories of the training.
 BASELINE: dict[str, Trajectory] = {
     "straight": Trajectory(
         duration=400.0,
@@ -106,7 +106,7 @@ AUV = Trajectory(
     pivot=0.5,
 )
 
-#: Motions for tests of the mathematics: an hour at constant rates, at rest and on a level circle.
+#: Motions for tests of the equations: an hour at rest, and an hour on a level circle.
 STATIC = Trajectory(duration=3600.0, speed=Channel(), heading=Channel(radians(30.0)))
 LOOP = Trajectory(
     duration=3600.0,

@@ -310,7 +310,7 @@ def test_a_damaged_network_is_run_or_refused() -> None:
             network.predict(np.ones((1, network.n_features)))
         except Exception as error:
             # An answer that is not finite is the row's, and no error of the file.
-            assert type(error) is NetworkError or "the network's answer" in str(error), repr(error)
+            assert type(error) is NetworkError or "the network's output" in str(error), repr(error)
             refused += 1
     assert refused > 10
 
