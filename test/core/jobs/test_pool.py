@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info
 
+from insdvl import kernels
 from insdvl.jobs import cluster, store
 from insdvl.jobs.options import Workers, WorkersError
 from insdvl.jobs.pool import TaskError, open_pool
@@ -229,8 +230,8 @@ def test_results_belong_to_settings_sources_and_versions(tmp_path, monkeypatch):
 
 def test_results_depend_on_the_files_of_their_code_only(tmp_path):
     def digest(name):
-        source_digest.cache_clear()
-        environment.cache_clear()
+        for cached in (kernels._imported, source_digest, environment):
+            cached.cache_clear()
         return Store(tmp_path / f"of {name}", {}, tmp_path / name).folder.name
 
     (tmp_path / "one.py").write_text("from insdvl.jobs import options\n")

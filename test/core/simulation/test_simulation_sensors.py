@@ -57,17 +57,17 @@ def test_white_noise_has_the_variance_per_sample_of_each_channel():
 
 def test_allan_deviation_returns_the_noise_and_the_bias_walk():
     """White noise of variance q per sample: q / m. A walk of density w: w m dt / 3."""
-    n, dt = 2_000_000, 0.01
+    n, dt = 500_000, 0.01
     q = np.array([0.01, 0.01, 0.01, 1e-3, 1e-3, 1e-3])
     walk = np.array([1e-4, 1e-4, 1e-4, 1e-6, 1e-6, 1e-6])
     rng = np.random.default_rng(8)
     bias = biases(n, dt, np.zeros(6), walk, rng)
     reading = bias + white_noise(np.broadcast_to(q, (n, 6)), rng)
-    short, long = 10, 10_000
+    short, long = 10, 2_500
     np.testing.assert_allclose(
         allan_variance(reading, short), q / short + walk * short * dt / 3.0, rtol=0.02
     )
-    # Some 200 independent clusters are left at 100 s: 5 sigma of their variance.
+    # Some 200 independent clusters are left at 25 s: 5 sigma of their variance.
     np.testing.assert_allclose(
         allan_variance(bias, long), walk * long * dt / 3.0 * (1.0 + 0.5 / long**2), rtol=0.5
     )

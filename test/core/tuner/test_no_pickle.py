@@ -116,14 +116,14 @@ def product(matrix, task):
 
 PROGRAM = """
 import sys
-import joblib, numpy as np
+import numpy as np
 from pathlib import Path
 from insdvl.jobs.options import Workers
 from insdvl.jobs.pool import open_pool
 from insdvl.jobs.store import Store
 from tasks_of_test import product
 
-matrix = np.random.default_rng(0).standard_normal((1000, 1000))  # joblib would put it in a file
+matrix = np.random.default_rng(0).standard_normal((400, 400))  # joblib would put it in a file
 tasks = {f"{k}": matrix + k for k in range(4)}
 results = {}
 for jobs in (1, 2):
@@ -134,8 +134,6 @@ for jobs in (1, 2):
             r["product"].tobytes() for r in kept]
         results[jobs] = [r["product"].tobytes() for r in kept]
 assert results[1] == results[2]
-if len(sys.argv) > 2:
-    joblib.load(sys.argv[2])
 """
 
 
@@ -168,10 +166,10 @@ def test_a_run_opens_no_file_that_holds_a_pickle(program: Path, tmp_path: Path) 
     assert done.returncode == 0, done.stderr
     assert not (program / "opened").exists(), (program / "opened").read_text()
 
-    # The tripwire works: the same with a pickle at the end.
+    # The tripwire works.
     joblib.dump({"a": 1}, tmp_path / "pickle")
-    command.append(str(tmp_path / "pickle"))
-    subprocess.run(command, env=environment(program), check=True, capture_output=True)
+    load = f"import joblib; joblib.load({str(tmp_path / 'pickle')!r})"
+    subprocess.run([sys.executable, "-c", load], env=environment(program), check=True)
     assert set((program / "opened").read_text().split()) == {str(tmp_path / "pickle")}
 
 
