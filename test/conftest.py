@@ -36,6 +36,7 @@ _log_dir = tempfile.mkdtemp(prefix="insdvl-test-log-")
 atexit.register(shutil.rmtree, _log_dir, ignore_errors=True)
 _domain, _domain_lock = _reserve_domain()
 os.environ.update(
+    OPENBLAS_NUM_THREADS="1",  # test processes share the cores
     FASTRTPS_DEFAULT_PROFILES_FILE=str(ROOT / "ros_insdvl" / "config" / "fastdds_localhost.xml"),
     ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST",
     ROS_DOMAIN_ID=str(_domain),

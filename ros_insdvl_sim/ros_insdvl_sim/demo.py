@@ -35,9 +35,10 @@ from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.frames import ENU, rpy_from_rotation
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.recordings.bags import BagWriter, Raw
+from insdvl.simulation.noise import SCENARIOS
 from insdvl.simulation.trajectories import trajectory_named
-from insdvl.studies.evaluation import plots
 from insdvl.studies.evaluation.metrics import Scores, Track, scores
+from insdvl.studies.report import plots
 from ros_insdvl.monitor import Monitor, OdometrySeries
 from ros_insdvl.node import publisher_qos, subscribe
 from ros_insdvl_sim.harness import (
@@ -57,7 +58,6 @@ from ros_insdvl_sim.harness import (
 
 Array = NDArray[np.float64]
 
-SCENARIOS = ("constant", "constant-tableI", "varying", "wide")
 TRAJECTORY = "auv"
 IMU_RATE = 100.0  # Hz
 FILTERS = ("/constant", "/learned")
@@ -486,7 +486,7 @@ def run_demo(options: argparse.Namespace) -> int:
         + " (body velocity RMSE)"
     )
     picture = out / "mission.png"
-    plots.mission(picture, title, outcome.t, outcome.truth, outcome.results, outcome.noises)
+    plots.draw_mission(picture, title, outcome.t, outcome.truth, outcome.results, outcome.noises)
     print_counts(counts)
     print("rejected by the filters: " + ", ".join(f"{k} {n}" for k, n in rejected.items()))
     print_scores(outcome.scores)
@@ -516,7 +516,7 @@ def run_demo(options: argparse.Namespace) -> int:
 def parse(arguments: list[str] | None) -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(prog="demo", description=__doc__.split("\n")[0])
-    parser.add_argument("--scenario", choices=SCENARIOS, default="varying")
+    parser.add_argument("--scenario", choices=tuple(SCENARIOS), default="varying")
     parser.add_argument("--seed", type=int, default=1, help="of all that is random")
     parser.add_argument(
         "--duration", type=float, default=0.0, help="seconds of mission; 0 is all of it"

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from insdvl.files import check_writable, json_text, write
-from insdvl.jobs.parallel import environment
+from insdvl.jobs.store import environment
 from insdvl.studies.faults import matrix, page, rows
 from ros_insdvl_sim import process_rows
 from ros_insdvl_sim.harness import guarded, isolate
@@ -65,7 +65,11 @@ def run(options: argparse.Namespace) -> int:
     failed = 0
     for part in options.parts.split(","):
         judged: list[dict[str, Any]] = []
-        document = {"rate_factor": RATE_FACTOR, "environment": environment(), "rows": judged}
+        document = {
+            "rate_factor": RATE_FACTOR,
+            "environment": environment(Path(matrix.__file__)),
+            "rows": judged,
+        }
         for row in parts[part]():
             judged.append(row)
             write(folder / f"{part}.json", json_text(document).encode())

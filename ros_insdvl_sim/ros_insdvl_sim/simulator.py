@@ -15,8 +15,8 @@ from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.frames import CONVENTIONS, quaternion_from_rotation
 from insdvl.parameters.declaration import ParameterError
 from insdvl.simulation.mission import mission_of
+from insdvl.simulation.motion import Truth
 from insdvl.simulation.parameters import SimulatorParameters
-from insdvl.simulation.trajectories import Truth
 from ros_insdvl.conversions import (
     NOT_MEASURED,
     flat_covariance,

@@ -24,13 +24,13 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Imu
 
 from insdvl.files import check_writable, finite, json_text, write
-from insdvl.jobs.parallel import environment
+from insdvl.jobs.store import environment
 from insdvl.navigation.events import NS
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build
-from insdvl.studies.evaluation.tables import number as shown
 from insdvl.studies.faults import page, soak
 from insdvl.studies.faults.verdicts import STOLEN, Verdict, lost, verdicts
+from insdvl.studies.report.markdown import number as shown
 from ros_insdvl_sim.harness import (
     DVL,
     FILTER,
@@ -391,7 +391,9 @@ def run(options: argparse.Namespace) -> int:
     document |= page.documents(folder).get(page.SOAK, {})
 
     def keep() -> None:
-        document["environment"] = environment() | {"cores": len(os.sched_getaffinity(0))}
+        document["environment"] = environment(Path(soak.__file__)) | {
+            "cores": len(os.sched_getaffinity(0))
+        }
         write(file, json_text(document).encode())
         write(options.out / "reliability.md", page.markdown(page.documents(folder)).encode())
 

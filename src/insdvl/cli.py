@@ -20,7 +20,7 @@ COMMANDS = {
         "insdvl.studies.evaluation.command",
         "compare sources of process noise on simulations",
     ),
-    "results": ("insdvl.studies.evaluation.results", "recompute the results page"),
+    "results": ("insdvl.studies.results.command", "recompute the results page"),
 }
 
 

@@ -54,6 +54,7 @@ def _warn_once(reason: str) -> None:
     )
 
 
+@cache
 def _imported(source: Path) -> set[Path]:
     """Files of this package that a file imports directly."""
     found: set[Path] = set()

@@ -1,1 +1,1 @@
-"""A vehicle that never was: truth as functions of time, and what its sensors would have said."""
+"""A simulated vehicle: truth as functions of time, and the readings of its sensors."""

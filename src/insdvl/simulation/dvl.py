@@ -1,52 +1,84 @@
-"""The Doppler velocity log: velocity over ground at its place, in its axes, and its errors."""
+"""The simulated DVL: velocity over ground at its position, in its axes, and its errors."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl.simulation.trajectories import Truth
-
-Array = NDArray[np.float64]
+from insdvl.arrays import Array
+from insdvl.navigation.geometry.frames import Convention, rotation_from_rpy
+from insdvl.parameters.declaration import ParameterError, lever_arm, mount, parameter
+from insdvl.simulation.motion import Truth
 
 
 @dataclass(frozen=True)
 class DvlModel:
-    """A DVL and its errors.
+    """The simulated DVL."""
 
-    Attributes:
-        rate: Pings per second [Hz].
-        C_b_d: (3, 3) rotation from DVL axes to body axes.
-        l_b_dvl: (3,) position in the body frame [m].
-        noise_std: (3,) white noise of each component [m/s].
-        bias_std: Stationary sigma of a first-order Gauss-Markov error of each component [m/s].
-        bias_time_constant: Its correlation time [s].
-        outages: Times (start, end) without pings, start <= t < end [s].
-        outlier_probability: Probability that a ping is an outlier.
-        outlier_size: Length of the vector, of random direction, that is added to an outlier [m/s].
-    """
+    rate: float = parameter(1.0, "Pings per second.", unit="Hz", low=0.01, high=100.0)
+    mount: tuple[float, ...] = mount("DVL")
+    lever_arm: tuple[float, ...] = lever_arm("DVL")
+    noise_std: tuple[float, ...] = parameter(
+        (0.1, 0.1, 0.1),
+        "White noise of each velocity component, one sigma.",
+        unit="m/s",
+        low=0.0,
+        length=3,
+    )
+    bias_std: float = parameter(
+        0.0, "Stationary sigma of a first-order Gauss-Markov error.", unit="m/s", low=0.0
+    )
+    bias_time_constant: float = parameter(
+        10.0, "Correlation time of the first-order Gauss-Markov error.", unit="s", above=0.0
+    )
+    outages: tuple[float, ...] = parameter(
+        (0.0, 0.0),
+        "Intervals without pings, from the start of the mission: start, end, start, end and so on.",
+        unit="s",
+        low=0.0,
+    )
+    outlier_probability: float = parameter(
+        0.0, "Probability that a ping is an outlier.", low=0.0, high=1.0
+    )
+    outlier_size: float = parameter(
+        3.0,
+        "Length of the vector, of random direction, that is added to an outlier.",
+        unit="m/s",
+        low=0.0,
+    )
 
-    rate: float = 1.0
-    C_b_d: Array = field(default_factory=lambda: np.eye(3))
-    l_b_dvl: Array = field(default_factory=lambda: np.zeros(3))
-    noise_std: Array = field(default_factory=lambda: np.full(3, 0.1))
-    bias_std: float = 0.0
-    bias_time_constant: float = 10.0
-    outages: tuple[tuple[float, float], ...] = ()
-    outlier_probability: float = 0.0
-    outlier_size: float = 3.0
+    def __post_init__(self) -> None:
+        ordered = all(a <= b for a, b in zip(self.outages, self.outages[1:], strict=False))
+        if len(self.outages) % 2 or not ordered:
+            raise ParameterError(
+                "parameter 'dvl.outages' must be pairs of start and end in rising order, "
+                f"got {list(self.outages)!r}"
+            )
+
+    def in_frd(self, convention: Convention) -> "DvlModel":
+        """This DVL with mount and lever arm in forward-right-down.
+
+        Args:
+            convention: Axes of the mount and of the lever arm.
+        """
+        # The change of axes flips signs only, so the angles change as the components of a vector.
+        return replace(
+            self,
+            mount=tuple(convention.body @ self.mount),
+            lever_arm=tuple(convention.body @ self.lever_arm),
+        )
 
     def errors(self, t: Array, rng: np.random.Generator) -> tuple[Array, NDArray[np.bool_]]:
         """Errors of all pings at equally spaced times t (N,).
 
-        Each kind of error has a stream of its own, so that a setting changes its own error only,
-        and the number of pings none.
+        Each kind of error has a random stream of its own: a setting changes its own error only,
+        and the number of pings changes none.
 
         Returns:
             The errors (N, 3) [m/s], and which pings are outliers (N,).
         """
         white, markov, chance, directions = rng.spawn(4)
-        errors = self.noise_std * white.standard_normal((t.size, 3))
+        errors = np.array(self.noise_std) * white.standard_normal((t.size, 3))
         drive = markov.standard_normal((t.size, 3))
         decay = np.exp(-1.0 / (self.rate * self.bias_time_constant))
         bias = self.bias_std * drive[:1]
@@ -61,15 +93,21 @@ class DvlModel:
         return errors, is_outlier
 
     def available(self, t: Array) -> NDArray[np.bool_]:
-        """Which of the times (N,) lie outside the outages."""
+        """Which of the times (N,) lie outside the outages, start <= t < end."""
         seen = np.ones(t.size, dtype=bool)
-        for start, end in self.outages:
+        for start, end in zip(self.outages[::2], self.outages[1::2], strict=True):
             seen &= (t < start) | (t >= end)
         return seen
 
 
 def ideal_velocity(truth: Truth, model: DvlModel) -> Array:
-    """What a perfect DVL measures (N, 3): C_d_b (C_b_n v_n + w_nb_b x l_b_dvl) [m/s]."""
+    """Readings (N, 3) of a perfect DVL: C_d_b (C_b_n v_n + w_nb_b x l_b_dvl) [m/s].
+
+    Args:
+        truth: At the times of the pings.
+        model: With mount and lever arm in forward-right-down.
+    """
+    C_b_d = rotation_from_rpy(np.array(model.mount))
     v_b = np.einsum("kji,kj->ki", truth.C_n_b, truth.v_n)
-    v_b += np.cross(truth.w_nb_b, model.l_b_dvl)
-    return v_b @ model.C_b_d
+    v_b += np.cross(truth.w_nb_b, np.array(model.lever_arm))
+    return v_b @ C_b_d

@@ -1,17 +1,37 @@
-"""The inertial sensor: what it would read without error, and its errors.
+"""The simulated IMU: its ideal readings, and its errors.
 
 A reading is the mean of specific force and angular rate over the interval that ends at its stamp.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.polynomial import legendre
-from numpy.typing import NDArray
 
-from insdvl.simulation.trajectories import Trajectory
-
-Array = NDArray[np.float64]
+from insdvl.arrays import Array
+from insdvl.parameters.declaration import parameter
+from insdvl.simulation.motion import Trajectory
 
 _NODES = 3  # the error is of the order dt^6 and lies below the rounding at 10 Hz and above
+
+
+@dataclass(frozen=True)
+class ImuModel:
+    """The simulated IMU without its white noise, which a noise profile describes."""
+
+    rate: float = parameter(100.0, "Samples per second.", unit="Hz", low=1.0, high=10_000.0)
+    accelerometer_bias_std: float = parameter(
+        1e-3, "Turn-on bias of each axis, one sigma.", unit="m/s^2", low=0.0
+    )
+    gyroscope_bias_std: float = parameter(
+        1e-5, "Turn-on bias of each axis, one sigma.", unit="rad/s", low=0.0
+    )
+    accelerometer_bias_walk: float = parameter(
+        1e-9, "Density of the accelerometer bias walk.", unit="(m/s^2)^2/s", low=0.0
+    )
+    gyroscope_bias_walk: float = parameter(
+        1e-13, "Density of the gyroscope bias walk.", unit="(rad/s)^2/s", low=0.0
+    )
 
 
 def ideal_imu(
@@ -20,7 +40,7 @@ def ideal_imu(
     """Readings of a perfect IMU: means over (stamp - dt, stamp], by Gauss-Legendre quadrature.
 
     Args:
-        trajectory: What happens.
+        trajectory: The motion.
         stamps_s: (N,) ends of the intervals, from the start of the trajectory [s].
         dt: Length of the intervals [s].
         earth_rate: See `Trajectory.truth`.

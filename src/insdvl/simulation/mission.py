@@ -2,51 +2,29 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from insdvl.arrays import Array, Stamps
 from insdvl.navigation.events import NS
-from insdvl.navigation.geometry.frames import CONVENTIONS, rotation_from_rpy
+from insdvl.navigation.geometry.frames import CONVENTIONS
 from insdvl.parameters.declaration import ParameterError
-from insdvl.simulation import noise as profiles
 from insdvl.simulation.dvl import DvlModel, ideal_velocity
-from insdvl.simulation.imu import biases, ideal_imu, white_noise
-from insdvl.simulation.noise import NoiseProfile, ProfileFactory
+from insdvl.simulation.imu import ImuModel, biases, ideal_imu, white_noise
+from insdvl.simulation.motion import Trajectory, Truth
+from insdvl.simulation.noise import NoiseProfile, ProfileFactory, chosen_profile
 from insdvl.simulation.parameters import SimulatorParameters
-from insdvl.simulation.trajectories import Trajectory, Truth, trajectory_named
+from insdvl.simulation.trajectories import trajectory_named
 
-Array = NDArray[np.float64]
-Stamps = NDArray[np.int64]
-
-#: Samples of a mission: 13 hours at 100 Hz. All of them are made before the first is sent, and take
-#: half a kilobyte each.
+#: Largest number of samples of a mission: 13 hours at 100 Hz. All samples are computed before the
+#: first is sent, and take half a kilobyte each.
 MAX_SAMPLES = 5_000_000
 
 
 @dataclass(frozen=True)
-class ImuModel:
-    """An IMU and its errors but for the white noise, which a profile describes.
-
-    Attributes:
-        rate: [Hz].
-        accelerometer_bias_std: Turn-on bias of each axis, one sigma [m/s^2].
-        gyroscope_bias_std: Turn-on bias of each axis, one sigma [rad/s].
-        accelerometer_bias_walk: Density of the bias walk [(m/s^2)^2/s].
-        gyroscope_bias_walk: Density of the bias walk [(rad/s)^2/s].
-    """
-
-    rate: float = 100.0
-    accelerometer_bias_std: float = 1e-3
-    gyroscope_bias_std: float = 1e-5
-    accelerometer_bias_walk: float = 1e-9
-    gyroscope_bias_walk: float = 1e-13
-
-
-@dataclass(frozen=True)
 class Mission:
-    """What happened, and what the sensors said. Frames are NED and forward-right-down.
+    """Truth and sensor readings of one mission. Frames are NED and forward-right-down.
 
     Row k of the IMU arrays belongs to the interval that ends at ``stamps_ns[k]``.
 
@@ -79,10 +57,9 @@ class Mission:
     dvl_outlier: NDArray[np.bool_]
 
     def process_noise(self, every_ns: int = NS) -> tuple[Stamps, Array]:
-        """Stamps (K,) and the variances (K, 6) that hold from each of them on.
+        """Stamps (K,) and the variances (K, 6) that apply from each stamp on.
 
-        There is one at the start, at every change, and at every multiple of ``every_ns`` after the
-        start.
+        The stamps are the start, every change, and every multiple of ``every_ns`` after the start.
         """
         begins = np.concatenate([[self.start_ns], self.stamps_ns[:-1]])
         changed = (self.q[1:] != self.q[:-1]).any(axis=1)
@@ -105,7 +82,7 @@ def _stamps(duration: float, rate: float) -> Stamps:
 def _clean(
     trajectory: Trajectory, duration: float, rate: float, earth_rate: bool
 ) -> tuple[Stamps, Truth, Array, Array]:
-    """Stamps, truth and perfect readings: what all runs of a Monte Carlo study share."""
+    """Stamps, truth and ideal readings, which all runs of a Monte Carlo study share."""
     elapsed_ns = _stamps(duration, rate)
     t = np.minimum(elapsed_ns / NS, duration)  # a stamp may be rounded up
     truth = trajectory.truth(t, earth_rate=earth_rate)
@@ -128,17 +105,17 @@ def simulate(
 ) -> Mission:
     """Simulate a mission.
 
-    Every sensor and every kind of error draws from a stream of its own, all of them children of the
-    seed. A changed setting therefore leaves all other errors as they were, to the bit, so that runs
-    can be compared in pairs; a longer mission begins as the shorter one.
+    Every sensor and every kind of error draws from a random stream of its own, a child of the seed.
+    A changed setting therefore leaves all other errors unchanged to the bit, so runs can be
+    compared in pairs; a longer mission begins as the shorter one.
 
     Args:
         trajectory: The motion.
         noise: Factory of the noise profile, such as one of `noise.SCENARIOS`.
-        seed: Of all that is random.
+        seed: Random seed.
         duration: Shorter than the trajectory [s]; all of it by default.
         imu: The IMU.
-        dvl: The DVL.
+        dvl: The DVL, with mount and lever arm in forward-right-down.
         earth_rate: See `Trajectory.truth`.
         start_ns: Stamp of the start.
 
@@ -196,57 +173,24 @@ def mission_of(parameters: SimulatorParameters) -> Mission:
         ParameterError: The noise file cannot be used, or the duration is longer than the
             trajectory.
     """
-    convention = CONVENTIONS[parameters.frame_convention]
     trajectory = trajectory_named(parameters.trajectory)
-    imu, dvl = parameters.imu, parameters.dvl
-    model = DvlModel(
-        rate=dvl.rate,
-        C_b_d=convention.body_rotation(rotation_from_rpy(np.array(dvl.mount))),
-        l_b_dvl=convention.body @ np.array(dvl.lever_arm),
-        noise_std=np.array(dvl.noise_std),
-        bias_std=dvl.bias_std,
-        bias_time_constant=dvl.bias_time_constant,
-        outages=tuple(zip(dvl.outages[::2], dvl.outages[1::2], strict=True)),
-        outlier_probability=dvl.outlier_probability,
-        outlier_size=dvl.outlier_size,
-    )
+    imu = parameters.imu
     duration = parameters.duration or trajectory.duration
     if min(duration, trajectory.duration) * imu.rate > MAX_SAMPLES:
         raise ParameterError(
             f"parameter 'duration' must be at most {MAX_SAMPLES / imu.rate:g} s at imu.rate "
             f"{imu.rate:g} Hz, got {duration!r}: a mission has at most {MAX_SAMPLES} samples"
         )
-    noise = _noise(parameters)
+    noise = chosen_profile(parameters.noise)
     try:
         return simulate(
             trajectory,
             noise,
             seed=parameters.seed,
             duration=duration,
-            imu=ImuModel(
-                rate=imu.rate,
-                accelerometer_bias_std=imu.accelerometer_bias_std,
-                gyroscope_bias_std=imu.gyroscope_bias_std,
-                accelerometer_bias_walk=imu.accelerometer_bias_walk,
-                gyroscope_bias_walk=imu.gyroscope_bias_walk,
-            ),
-            dvl=model,
+            imu=imu,
+            dvl=parameters.dvl.in_frd(CONVENTIONS[parameters.frame_convention]),
             earth_rate=parameters.earth_rate,
         )
     except ValueError as error:
         raise ParameterError(f"parameter 'duration': {error}") from None
-
-
-def _noise(parameters: SimulatorParameters) -> ProfileFactory:
-    noise = parameters.noise
-    level = np.array([*noise.accelerometer_variance, *noise.gyroscope_variance])
-    if noise.profile == "constant":
-        return profiles.constant(level)
-    if noise.profile == "on-off":
-        return profiles.on_off(level, noise.on_factor * level, noise.half_period)
-    if noise.profile == "file":
-        try:
-            return profiles.from_file(Path(noise.file))
-        except ValueError as error:
-            raise ParameterError(f"parameter 'noise.file': {error}") from None
-    return profiles.SCENARIOS[noise.profile]

@@ -1,19 +1,20 @@
-"""Profiles of the IMU's noise: variances per sample that change stepwise in time.
+"""Profiles of the IMU noise: variances per sample that change in steps.
 
-A profile is made by a factory, ``factory(duration, rng) -> NoiseProfile``, which draws what is
-random in it. Channels are ordered f_b x, y, z [(m/s^2)^2], then w_ib_b x, y, z [(rad/s)^2].
+A factory, ``factory(duration, rng) -> NoiseProfile``, draws a profile. Channels are ordered
+f_b x, y, z [(m/s^2)^2], then w_ib_b x, y, z [(rad/s)^2].
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from insdvl.arrays import Array
 from insdvl.files import read, shown
-
-Array = NDArray[np.float64]
+from insdvl.parameters.declaration import ParameterError, parameter
 
 ACCELEROMETER_VARIANCE = 0.01  # (m/s^2)^2
 GYROSCOPE_VARIANCE = 0.001  # (rad/s)^2
@@ -26,7 +27,7 @@ class NoiseProfile:
     """Variances of the six channels, constant from each time to the next.
 
     Attributes:
-        times: (K,) where the variances start to hold, from 0, increasing [s].
+        times: (K,) times from which the variances apply, increasing from 0 [s].
         variances: (K, 6) not negative.
     """
 
@@ -45,13 +46,13 @@ class NoiseProfile:
         increasing = np.isfinite(self.times[1:]) & (np.diff(self.times) > 0.0)
         if not increasing.all():
             before, after = self.times[int(increasing.argmin()) :][:2]
-            raise ValueError(f"times must start at 0 and increase, got {after} behind {before}")
+            raise ValueError(f"times must start at 0 and increase, got {after} after {before}")
         wrong = ~(np.isfinite(self.variances) & (self.variances >= 0.0))
         if wrong.any():
             raise ValueError(f"variances must be finite and >= 0, got {self.variances[wrong][0]!r}")
 
     def variance_at(self, t: ArrayLike) -> Array:
-        """Variances (N, 6) at times t (N,) >= 0; at a change it is the new one."""
+        """Variances (N, 6) at times t (N,) >= 0; at the time of a change, the new ones."""
         return self.variances[np.searchsorted(self.times, t, side="right") - 1]
 
 
@@ -59,7 +60,7 @@ ProfileFactory = Callable[[float, np.random.Generator], NoiseProfile]
 
 
 def constant(variances: ArrayLike) -> ProfileFactory:
-    """The same variances (6,) all the time."""
+    """Constant variances (6,)."""
     level = np.array(variances, dtype=float).reshape(1, -1)
     return lambda duration, rng: NoiseProfile(np.zeros(1), level)
 
@@ -67,7 +68,7 @@ def constant(variances: ArrayLike) -> ProfileFactory:
 def segments(
     low: float, high: float, shortest: float = 15.0, longest: float = 45.0
 ) -> ProfileFactory:
-    """Each channel on its own keeps a log-uniform variance for a uniformly drawn time.
+    """Each channel holds a log-uniform variance for a uniform random time, then another.
 
     Args:
         low: Smallest variance.
@@ -96,7 +97,7 @@ def segments(
 
 
 def on_off(off: ArrayLike, on: ArrayLike, half_period: float) -> ProfileFactory:
-    """All channels switch together between the variances ``off`` (6,), which are first, and ``on``.
+    """All channels switch together between the variances ``off`` and ``on`` (6,); ``off`` is first.
 
     Args:
         off: Variances of the first half period.
@@ -113,12 +114,12 @@ def on_off(off: ArrayLike, on: ArrayLike, half_period: float) -> ProfileFactory:
 
 
 def from_file(path: Path) -> ProfileFactory:
-    """A profile from a CSV file: time [s], then the six variances that hold from then on.
+    """A profile from a CSV file: time [s], then the six variances that apply from then on.
 
-    Empty lines and what follows a ``#`` are left out.
+    Empty lines and comments, which start with ``#``, are skipped.
 
     Raises:
-        ValueError: The file cannot be read, or a line is wrong; the message names it.
+        ValueError: The file cannot be read or a line is invalid; the message names it.
     """
     try:
         lines = read(path, MAX_FILE_BYTES).decode("utf-8").splitlines()
@@ -135,7 +136,7 @@ def from_file(path: Path) -> ProfileFactory:
         except ValueError:
             raise ValueError(f"{path}, line {number}: not seven numbers: {shown(text)}") from None
         if len(row) != 7:
-            raise ValueError(f"{path}, line {number}: 7 values are needed, got {len(row)}")
+            raise ValueError(f"{path}, line {number}: expected 7 values, got {len(row)}")
         rows.append(row)
     if not rows:
         raise ValueError(f"{path} has no line with a time and six variances")
@@ -148,9 +149,88 @@ def from_file(path: Path) -> ProfileFactory:
 
 
 #: The scenarios of the evaluation.
-SCENARIOS: dict[str, ProfileFactory] = {
-    "constant": constant([ACCELEROMETER_VARIANCE] * 3 + [GYROSCOPE_VARIANCE] * 3),
-    "constant-tableI": constant([ACCELEROMETER_VARIANCE**2] * 3 + [GYROSCOPE_VARIANCE**2] * 3),
-    "varying": segments(1e-3, 0.05),
-    "wide": segments(1e-5, 0.05),
-}
+SCENARIOS: Mapping[str, ProfileFactory] = MappingProxyType(
+    {
+        "constant": constant([ACCELEROMETER_VARIANCE] * 3 + [GYROSCOPE_VARIANCE] * 3),
+        "constant-tableI": constant([ACCELEROMETER_VARIANCE**2] * 3 + [GYROSCOPE_VARIANCE**2] * 3),
+        "varying": segments(1e-3, 0.05),
+        "wide": segments(1e-5, 0.05),
+    }
+)
+#: The variances of each scenario in words.
+SCENARIO_TEXTS: Mapping[str, str] = MappingProxyType(
+    {
+        "constant": f"{ACCELEROMETER_VARIANCE:g} and {GYROSCOPE_VARIANCE:g} throughout",
+        "constant-tableI": f"{ACCELEROMETER_VARIANCE:g}^2 and {GYROSCOPE_VARIANCE:g}^2 throughout",
+        "varying": "each channel in [0.001, 0.05], a new value every 15 to 45 s",
+        "wide": "each channel in [1e-5, 0.05], a new value every 15 to 45 s",
+    }
+)
+
+
+@dataclass(frozen=True)
+class NoiseParameters:
+    """White noise of the simulated IMU."""
+
+    profile: str = parameter(
+        "varying",
+        "Variances of the IMU noise: those of a scenario ("
+        + "; ".join(f"{name}: {text}" for name, text in SCENARIO_TEXTS.items())
+        + "), where 'constant' takes its values from the parameters below; two levels in turn for "
+        "all channels (on-off); or those in a file.",
+        choices=(*SCENARIOS, "on-off", "file"),
+    )
+    accelerometer_variance: tuple[float, ...] = parameter(
+        (ACCELEROMETER_VARIANCE,) * 3,
+        "Variance per sample of the profile 'constant', and of 'on-off' when off.",
+        unit="(m/s^2)^2",
+        low=0.0,
+        length=3,
+    )
+    gyroscope_variance: tuple[float, ...] = parameter(
+        (GYROSCOPE_VARIANCE,) * 3,
+        "Variance per sample of the profile 'constant', and of 'on-off' when off.",
+        unit="(rad/s)^2",
+        low=0.0,
+        length=3,
+    )
+    on_factor: float = parameter(
+        20.0,
+        "Factor on the variances of 'on-off' when on.",
+        low=0.0,
+        high=1e9,
+    )
+    half_period: float = parameter(
+        30.0, "Time between the switches of 'on-off'.", unit="s", low=0.1
+    )
+    file: str = parameter(
+        "",
+        "CSV file of the profile 'file': time from the start, then the variances of f_b x, y, z "
+        "and w_ib_b x, y, z that apply from then on.",
+    )
+
+    def __post_init__(self) -> None:
+        if (self.profile == "file") != bool(self.file):
+            raise ParameterError(
+                "parameter 'noise.file' must name a file if noise.profile is 'file', and only "
+                f"then; got {shown(self.file)} with noise.profile {self.profile!r}"
+            )
+
+
+def chosen_profile(parameters: NoiseParameters) -> ProfileFactory:
+    """The profile that the parameters describe.
+
+    Raises:
+        ParameterError: The file cannot be used.
+    """
+    level = np.array([*parameters.accelerometer_variance, *parameters.gyroscope_variance])
+    if parameters.profile == "constant":
+        return constant(level)
+    if parameters.profile == "on-off":
+        return on_off(level, parameters.on_factor * level, parameters.half_period)
+    if parameters.profile == "file":
+        try:
+            return from_file(Path(parameters.file))
+        except ValueError as error:
+            raise ParameterError(f"parameter 'noise.file': {error}") from None
+    return SCENARIOS[parameters.profile]

@@ -1,1 +1,1 @@
-"""The learned process noise: windows of IMU samples, their features, the model, the schedule."""
+"""Learned process noise: windows of IMU samples, their features, the models, the schedule."""

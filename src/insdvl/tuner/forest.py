@@ -1,22 +1,22 @@
-"""An ensemble of regression trees as flat arrays: its file, its checks, its prediction.
+"""An ensemble of regression trees as flat arrays: file, checks, prediction.
 
-A file holds five arrays, of T trees with S splits and L leaves in all, tree after tree, the nodes
-of a tree in preorder (a split, all of its left side, all of its right side):
+A file holds five arrays for T trees with S splits and L leaves in total, tree after tree, the nodes
+of a tree in preorder (a split, its whole left side, its whole right side):
 
 * ``feature`` (S + L,) int16: the feature that a split compares, or -1 for a leaf;
 * ``threshold`` (S,) float32: a row goes left where its feature is at most this;
-* ``value`` (L,) float64: the answer of a leaf;
+* ``value`` (L,) float64: the output of a leaf;
 * ``roots`` (T,) int32: the first node of each tree;
 * ``n_features`` () int32: the length of a row.
 
 Preorder needs no child indices: the left child is the next node, and the right child follows from
-the sizes. A file therefore cannot hold a cycle or an index out of range, only a sequence that is no
-set of T trees, which is refused.
+the sizes. A file therefore cannot hold a cycle or an index out of range, only a sequence that is
+not a set of T trees, which is rejected.
 
 The prediction equals scikit-learn's ``BaggingRegressor.predict`` with one job to the last bit.
 scikit-learn rounds a row to float32 and compares it with thresholds in float64; a float32 is at
 most such a threshold exactly when it is at most the threshold rounded down to float32, which is
-what is kept. It adds the trees' answers in their order and divides by their number.
+stored. It adds the outputs of the trees in their order and divides by their number.
 """
 
 from collections.abc import Mapping
@@ -24,11 +24,10 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from insdvl.arrays import Array
 from insdvl.files import archive
 from insdvl.files import arrays as arrays_of
 from insdvl.kernels import kernel
-
-Array = NDArray[np.float64]
 
 #: dtype and number of dimensions of the arrays of a file.
 ARRAYS = {
@@ -41,15 +40,15 @@ ARRAYS = {
 
 LEAF = -1
 
-MAX_BYTES = 64 * 2**20  # of the arrays; the largest that ships has a fiftieth of it
+MAX_BYTES = 64 * 2**20  # of the arrays; those of the largest shipped model have a fiftieth
 
 
 class ForestError(ValueError):
-    """Arrays that are no ensemble of trees."""
+    """The arrays are not an ensemble of trees."""
 
 
 class Forest:
-    """T regression trees whose mean is the answer.
+    """T regression trees; the output is their mean.
 
     Attributes:
         arrays: The arrays of the file, see the module.
@@ -62,7 +61,7 @@ class Forest:
 
         Raises:
             ForestError: An array is missing, unknown, of the wrong type or shape, not finite or out
-                of range, or the nodes are no T trees.
+                of range, or the nodes are not T trees.
         """
         self.arrays = {name: _checked(arrays, name) for name in ARRAYS}
         unknown = sorted(set(arrays) - set(ARRAYS))
@@ -114,7 +113,7 @@ class Forest:
         """A forest from the bytes of an ``.npz`` file.
 
         Raises:
-            ForestError: They are no such archive, or `Forest` refuses the arrays.
+            ForestError: They are not such an archive, or `Forest` rejects the arrays.
         """
         try:
             return cls(arrays_of(data, MAX_BYTES))
@@ -128,7 +127,7 @@ class Forest:
         return archive(self.arrays)
 
     def predict(self, X: Array) -> Array:
-        """Mean answer of the trees for each row.
+        """Mean output of the trees for each row.
 
         Args:
             X: (M, n_features).
@@ -158,7 +157,7 @@ def _checked(arrays: Mapping[str, NDArray], name: str) -> NDArray:
     array = np.asarray(arrays[name])
     if array.dtype != dtype or array.ndim != ndim:
         raise ForestError(
-            f"{name} must be {dtype} of {ndim} dimensions, got {array.dtype} of {array.ndim}"
+            f"{name} must be {dtype} with {ndim} dimensions, got {array.dtype} with {array.ndim}"
         )
     return array
 
@@ -170,9 +169,9 @@ def _right_children(
     """Right child of each split into ``right``, first nodes of trees into ``roots``.
 
     Returns:
-        The number of trees; -1 where they are not whole or are more than ``roots`` can hold.
+        The number of trees; -1 where they are incomplete or more than ``roots`` can hold.
     """
-    waiting = np.empty(feature.size + 1, np.int32)  # splits whose right side has not begun
+    waiting = np.empty(feature.size + 1, np.int32)  # splits whose right side has not started
     n_waiting = 0
     n_trees = 0
     begins = True
@@ -204,11 +203,11 @@ def _predict(
 ) -> int:
     """Mean over the trees of the leaf that each row of ``X`` (M, F) reaches, into ``out`` (M,).
 
-    A row takes one step down all trees at a time: the processor waits for the memory of many
-    nodes at once, instead of one after the other.
+    A row takes one step down all trees at a time: the processor then waits for the memory of many
+    nodes at once, and not for one after another.
 
     Returns:
-        The first row that is not finite in float32, where it ends; -1 where there is none.
+        The first row that is not finite in float32, at which the prediction stops; else -1.
     """
     at = np.empty(roots.size, np.int64)
     row = np.empty(X.shape[1], np.float32)

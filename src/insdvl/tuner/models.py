@@ -1,8 +1,8 @@
-"""A trained model: its numbers in a file and, beside it, a card in JSON that describes them.
+"""A trained model: a file with its numbers, and a card in JSON that describes them.
 
-The card says what computes the answer (`kind`), what it is given (`feature_schema`), the window's
-number of samples, how it was trained and how well it does, and the SHA-256 of the file. A file that
-is not the one of its card is refused; nothing in either file can run code.
+The card has the kind of the regressor (`kind`), its inputs (`feature_schema`), the number of
+samples of the window, the training, the errors, and the SHA-256 of the file. A file that does not
+match its card is rejected; nothing in either file can run code.
 """
 
 import hashlib
@@ -16,18 +16,14 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from insdvl.arrays import Array
 from insdvl.files import read, read_json, shown, write
 from insdvl.tuner import forest, network
 from insdvl.tuner.features.schemas import SCHEMAS, Schema
 from insdvl.tuner.forest import Forest
 from insdvl.tuner.network import Network
 
-Array = NDArray[np.float64]
-
-#: What a card must have, and of which type; the rest of it is for people.
+#: Required fields of a card and their types; all others are for people.
 CARD_FIELDS = {
     "name": str,
     "kind": str,
@@ -38,16 +34,16 @@ CARD_FIELDS = {
 }
 
 
-MAX_CARD_BYTES = 2**20  # those that ship have two kilobytes
-MAX_WINDOW = 10_000  # samples, 10 s at 1 kHz; a tuner keeps and goes through all of them
+MAX_CARD_BYTES = 2**20  # shipped cards have two kilobytes
+MAX_WINDOW = 10_000  # samples, 10 s at 1 kHz; a tuner keeps and processes all of them
 
 
 class ModelError(ValueError):
-    """A model is missing, altered, or not one that this version can use."""
+    """A model is missing, altered, or unusable in this version."""
 
 
 class Regressor(Protocol):
-    """What computes a model's answers.
+    """Computes the output of a model.
 
     Attributes:
         n_features: Length F of a row.
@@ -56,7 +52,7 @@ class Regressor(Protocol):
     n_features: int
 
     def predict(self, X: Array) -> Array:
-        """The answers (M,) to rows (M, F); ValueError where a row cannot be used."""
+        """Outputs (M,) for rows (M, F); ValueError where a row cannot be used."""
 
 
 @dataclass(frozen=True)
@@ -64,9 +60,9 @@ class Kind:
     """A kind of model.
 
     Attributes:
-        suffix: Of its file.
-        max_bytes: Of its file.
-        load: Makes the regressor from the bytes of the file; ValueError where they are none.
+        suffix: Suffix of its file.
+        max_bytes: Largest size of its file.
+        load: Makes the regressor from the bytes of the file; ValueError where they are invalid.
     """
 
     suffix: str
@@ -74,7 +70,7 @@ class Kind:
     load: Callable[[bytes], Regressor]
 
 
-#: Kinds of models by the name that a card gives.
+#: Kinds of models by their names on cards.
 KINDS: Mapping[str, Kind] = MappingProxyType(
     {
         "forest": Kind(".npz", forest.MAX_BYTES, Forest.load),
@@ -88,11 +84,11 @@ class Model:
     """A model ready for use.
 
     Attributes:
-        path: The file of its numbers.
-        card: The card as it was read.
+        path: File of its numbers.
+        card: The card as read.
         window: Number of samples N of a window.
-        schema: What the regressor is given, and what its answers mean.
-        regressor: What answers.
+        schema: Inputs of the regressor, and the meaning of its outputs.
+        regressor: Computes the outputs.
     """
 
     path: Path
@@ -125,25 +121,25 @@ def sha256(data: bytes) -> str:
 
 
 def write_model(folder: Path, data: bytes, card: Mapping[str, Any]) -> tuple[Path, Path]:
-    """Write the two files of a model; both are complete before either takes its name.
+    """Write the two files of a model; both are complete before either gets its name.
 
     Args:
-        folder: Is made if it is not there.
-        data: The file of the numbers, as `Forest.save` makes it.
-        card: At least what CARD_FIELDS has, but for ``sha256``, which is added here.
+        folder: Output folder, which is made if needed.
+        data: Bytes of the numbers, as from `Forest.save`.
+        card: At least the CARD_FIELDS without ``sha256``, which is added here.
 
     Returns:
-        Paths of the numbers, which the tuner's parameter ``model`` takes, and of the card.
+        Path of the numbers, for the tuner's parameter ``model``, and path of the card.
 
     Raises:
-        ModelError: The card is not complete, or does not go with the numbers.
+        ModelError: The card is incomplete or does not fit the numbers.
         OSError: The files cannot be written.
     """
     card = {**card, "sha256": sha256(data)}
     description = folder / f"{card.get('name')}.json"
     _check_card(card, description)
     if Path(card["name"]).name != card["name"]:
-        raise ModelError(f"the model's name must be that of a file, got {shown(card['name'])}")
+        raise ModelError(f"the model's name must be a valid file name, got {shown(card['name'])}")
     numbers = folder / f"{card['name']}{KINDS[card['kind']].suffix}"
     _assembled(card, description, data, numbers)
     folder.mkdir(parents=True, exist_ok=True)
@@ -157,13 +153,13 @@ def write_model(folder: Path, data: bytes, card: Mapping[str, Any]) -> tuple[Pat
 
 
 def load_model(name_or_path: str) -> Model:
-    """A model that ships with insdvl, by its name, or another by the path of its file.
+    """Load a shipped model by its name, or any model by the path of its file.
 
     A path has a separator or ends in the suffix of a kind of model, such as ``.npz``.
 
     Raises:
-        ModelError: A file is missing or altered, or its card does not fit. It names the file and
-            the SHA-256 that its card expects.
+        ModelError: A file is missing or altered, or the card does not fit. The message names the
+            file and the expected SHA-256.
     """
     named = Path(name_or_path)
     is_path = "/" in name_or_path or named.suffix in {kind.suffix for kind in KINDS.values()}
@@ -182,7 +178,7 @@ def load_model(name_or_path: str) -> Model:
 
 
 def _assembled(card: Mapping[str, Any], card_file: Path, data: bytes, file: Path) -> Model:
-    """The model of a card and its numbers, when they go with each other."""
+    """The model of a card and its numbers, after all checks."""
     expected = f"{card_file} expects SHA-256 {card['sha256']}"
     if sha256(data) != card["sha256"]:
         raise ModelError(f"the model {file} was altered: its SHA-256 is {sha256(data)}; {expected}")
@@ -218,7 +214,7 @@ def _check_card(card: Mapping[str, Any], file: Path) -> None:
             )
     if card["kind"] not in KINDS:
         raise ModelError(
-            f"the model's card {file}: kind {shown(card['kind'])} is unknown, known are "
+            f"the model's card {file}: kind {shown(card['kind'])} is unknown; known are "
             f"{', '.join(KINDS)}"
         )
 
@@ -227,7 +223,7 @@ def _schema(card: Mapping[str, Any], file: Path) -> Schema:
     schema = SCHEMAS.get(card["feature_schema"])
     if schema is None:
         raise ModelError(
-            f"the model's card {file}: feature_schema {shown(card['feature_schema'])} is unknown, "
+            f"the model's card {file}: feature_schema {shown(card['feature_schema'])} is unknown; "
             f"known are {', '.join(SCHEMAS)}"
         )
     if tuple(card["features"]) != schema.names:

@@ -1,7 +1,7 @@
-"""What a tuner makes of a whole recording at once, by any estimator.
+"""The output of a tuner for a whole recording at once, with any estimator.
 
-The rules are the `Tuner`'s: which sample closes a window follows from the stamps alone, and no
-window spans a gap.
+The rules are those of `Tuner`: the stamps alone decide which sample closes a window, and no window
+spans a gap.
 """
 
 from collections.abc import Callable
@@ -11,11 +11,10 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from insdvl.arrays import Array, Stamps
 from insdvl.navigation.events import NS
 from insdvl.tuner.windows import CHANNELS, period
 
-Array = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 Indices = NDArray[np.intp]
 
 #: Windows (M, N) of one channel each to the variances (M,) of their noise.
@@ -28,7 +27,7 @@ def closing_samples(stamps_ns: Stamps, window: int, rate: float, max_gap_ns: int
     Args:
         stamps_ns: (N,) stamps of the samples, increasing.
         window: Number of samples of a window.
-        rate: Of the tuner [Hz].
+        rate: Rate of the tuner [Hz].
         max_gap_ns: A window that spans a longer interval between stamps is not used.
 
     Returns:
@@ -41,11 +40,11 @@ def closing_samples(stamps_ns: Stamps, window: int, rate: float, max_gap_ns: int
     if (steps <= 0).any():
         k = int(np.argmax(steps <= 0))
         raise ValueError(f"stamps must increase, got {stamps_ns[k]} and then {stamps_ns[k + 1]}")
-    # The stamps times the rate's numerator are beyond 64 bits.
+    # The product of a stamp and the numerator of the rate exceeds 64 bits.
     periods = period(stamps_ns.astype(object), Fraction(rate) / NS)
     opens = np.zeros(stamps_ns.size, bool)
     opens[1:] = periods[1:] != periods[:-1]
-    beginning = np.zeros(stamps_ns.size, np.intp)  # of the run without a gap that a sample is in
+    beginning = np.zeros(stamps_ns.size, np.intp)  # first sample of the run without a gap
     after_gap = np.flatnonzero(steps > max_gap_ns) + 1
     beginning[after_gap] = after_gap
     since = np.arange(stamps_ns.size) - np.maximum.accumulate(beginning)
@@ -60,21 +59,21 @@ def tuned(
     rate: float,
     max_gap_ns: int,
 ) -> tuple[Stamps, Array]:
-    """The process noise of a whole recording, as a tuner with this estimator gives it.
+    """The process noise that a tuner with this estimator publishes for a whole recording.
 
     Args:
         stamps_ns: (N,) increasing.
         samples: (N, 6) finite specific force [m/s^2] and angular rate [rad/s].
-        estimate: Such as `Model.variances`, or one of `closed_form`.
+        estimate: The estimator, such as `Model.variances` or one of `closed_form`.
         window: Number of samples of a window.
-        rate: Of the tuner [Hz].
+        rate: Rate of the tuner [Hz].
         max_gap_ns: A window that spans a longer interval between stamps is not used.
 
     Returns:
-        Stamps (K,) from which on the variances (K, 6) hold.
+        Stamps (K,) from which on the variances (K, 6) apply.
 
     Raises:
-        ValueError: The stamps do not increase, or `estimate` refuses a window.
+        ValueError: The stamps do not increase, or `estimate` rejects a window.
     """
     closing = closing_samples(stamps_ns, window, rate, max_gap_ns)
     if not closing.size:

@@ -1,9 +1,8 @@
-"""What an ``.onnx`` file asks for, read before onnxruntime does what it says.
+"""Operators and tensors of an ``.onnx`` file, read before onnxruntime loads it.
 
-The file is one protobuf message. Of it only what leads to operators and tensors is followed, by the
-numbers that the fields have in onnx.proto. A number or a length may be written in several ways, and
-so may a file with the same meaning: the bytes are therefore read as protobuf reads them, and not
-searched.
+The file is one protobuf message. Only the fields that lead to operators and tensors are followed,
+by their numbers in onnx.proto. Protobuf allows several encodings of the same number, length and
+file, so the bytes are parsed as protobuf parses them, and not searched.
 """
 
 from collections.abc import Iterator
@@ -12,10 +11,10 @@ from dataclasses import dataclass
 Value = int | memoryview | None
 
 MAX_DEPTH = 100  # messages within messages, as protobuf has it
-MAX_MESSAGES = 1_000_000  # operators, attributes, tensors; each takes some hundred bytes when read
+MAX_MESSAGES = 1_000_000  # operators, attributes and tensors, of some hundred bytes each
 MAX_FIELDS = 10_000_000  # a second for each million
 
-#: By kind of message, the kinds of those within it that lead to operators and tensors.
+#: For each kind of message, the fields whose messages lead to operators and tensors.
 _WITHIN: dict[str, dict[int, str]] = {
     "model": {7: "graph", 25: "function"},
     "graph": {1: "node", 5: "tensor", 15: "sparse tensor"},
@@ -33,17 +32,17 @@ _WITHIN: dict[str, dict[int, str]] = {
     "tensor": {},
 }
 _OPERATOR = ("node", 4)
-#: Where a tensor's values lie, and whether that is in another file.
+#: Fields that place the values of a tensor in another file.
 _ELSEWHERE = (("tensor", 13), ("tensor", 14))
 
 
 @dataclass(frozen=True)
 class Content:
-    """What a file asks for.
+    """Content of a file.
 
     Attributes:
-        operators: Their names, those in branches and functions too.
-        has_all: All values of tensors are in the file itself.
+        operators: Names of the operators, also in branches and functions.
+        has_all: Whether all values of tensors are in the file itself.
     """
 
     operators: frozenset[bytes]
@@ -51,11 +50,11 @@ class Content:
 
 
 def read(data: bytes) -> Content:
-    """What the bytes of an ``.onnx`` file ask for.
+    """Parse the bytes of an ``.onnx`` file.
 
     Raises:
-        ValueError: They are no protobuf message, or one that is deeper than `MAX_DEPTH` or has more
-            than `MAX_MESSAGES` or `MAX_FIELDS` within it.
+        ValueError: They are not a protobuf message, or exceed `MAX_DEPTH`, `MAX_MESSAGES` or
+            `MAX_FIELDS`.
     """
     operators: set[bytes] = set()
     has_all = True
@@ -80,7 +79,7 @@ def read(data: bytes) -> Content:
                 if len(unfinished) == MAX_DEPTH:
                     raise ValueError(f"it has more than {MAX_DEPTH} levels")
                 unfinished.append((_WITHIN[kind][number], _fields(value)))
-                break  # the rest of this message comes after the one within it
+                break  # the rest of this message follows after the inner one
         else:
             unfinished.pop()
     return Content(frozenset(operators), has_all)
@@ -111,7 +110,7 @@ def _fields(message: memoryview) -> Iterator[tuple[int, Value]]:
 
 
 def _varint(message: memoryview, at: int) -> tuple[int, int]:
-    """A number of up to ten bytes with seven bits each, and where it ends."""
+    """A number of up to ten bytes with seven bits each, and the position after it."""
     number = shift = 0
     while shift < 70 and at < len(message):
         byte = message[at]

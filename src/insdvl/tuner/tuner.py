@@ -1,29 +1,27 @@
-"""The tuner: IMU samples in, the variance of their noise out, at the tuning rate.
+"""The tuner: estimates the variance of the IMU noise at the tuning rate.
 
-The schedule follows from the stamps alone. Time is cut into periods of 1 / rate from stamp 0 on;
-the first sample of a period closes a window, which reaches back N samples and includes it. A stamp
-that falls on the beginning of a period belongs to it, so where samples lie on multiples of 1 / rate
-so do the estimates; with jitter or other phases an estimate has the stamp of the first sample
-after. When the tuner was started, or how fast the samples arrive, changes none of this: two tuners
-that have both seen the last N samples give the same bits.
+The schedule follows from the stamps alone. Time is divided into periods of 1 / rate from stamp 0
+on; the first sample of a period closes a window, which has that sample and the N - 1 before it. A
+stamp at the start of a period belongs to the period, so estimates lie on multiples of 1 / rate
+where samples do; with jitter or other phases an estimate has the stamp of the first sample after.
+The time at which the tuner started, and the speed at which samples arrive, do not matter: two
+tuners that have both seen the last N samples give the same bits.
 
-A period whose window has a gap or is not yet full has no estimate.
+A period whose window has a gap or is not full has no estimate.
 """
 
 from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
-from numpy.typing import NDArray
 
+from insdvl.arrays import Array
 from insdvl.navigation.events import NS
 from insdvl.parameters.declaration import ParameterError
 from insdvl.tuner.features.differences import bounded
 from insdvl.tuner.models import load_model
 from insdvl.tuner.parameters import TunerParameters
 from insdvl.tuner.windows import CHANNELS, Window, period
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -40,15 +38,15 @@ class TunedNoise:
 
 
 class Tuner:
-    """Learns the process noise of an IMU from its last samples.
+    """Estimates the process noise of an IMU from its last samples.
 
     Attributes:
-        enabled: While False no estimate is made; the window goes on filling.
+        enabled: While False there are no estimates; the window is still filled.
         model: The model in use.
     """
 
     def __init__(self, parameters: TunerParameters) -> None:
-        """Load the model and compile what `add` needs.
+        """Load the model and compile its functions.
 
         Raises:
             ModelError: The model cannot be used, see `load_model`.
@@ -69,16 +67,16 @@ class Tuner:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Samples taken and dropped, see `Window`; windows used, and refused as too large."""
+        """Samples used and dropped, see `Window`; windows used, and rejected as too large."""
         return self._window.counts | self._made
 
     def add(self, stamp_ns: int, sample: Array) -> TunedNoise | None:
-        """Take a sample; the new estimate where it closes a window.
+        """Add a sample; returns the new estimate where it closes a window.
 
-        Never raises on data: what cannot be used is counted, see `counts`.
+        Never raises on data: unusable data is counted, see `counts`.
 
         Args:
-            stamp_ns: The sample's stamp.
+            stamp_ns: Stamp of the sample.
             sample: (6,) specific force [m/s^2] and angular rate [rad/s], in any fixed axes.
         """
         stamp_ns = int(stamp_ns)
@@ -91,7 +89,7 @@ class Tuner:
             return None
         try:
             variances = self._estimate(self._window.samples())
-        except ValueError:  # finite samples whose features are not
+        except ValueError:  # the samples are finite, their features are not
             self._made["too_large"] += 1
             return None
         self._made["windows"] += 1

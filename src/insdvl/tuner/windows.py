@@ -1,4 +1,4 @@
-"""The last N samples of an IMU, as long as nothing is missing between them, and when they close."""
+"""The last N samples of an IMU without a gap, and the periods of the tuner."""
 
 from fractions import Fraction
 from typing import TypeVar
@@ -6,7 +6,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from insdvl.arrays import Array
 
 CHANNELS = 6  # specific force x, y, z, angular rate x, y, z
 
@@ -17,8 +17,8 @@ def period(stamp_ns: _Stamp, per_ns: Fraction) -> _Stamp:
     """Number of the period that a stamp lies in, counted from stamp 0.
 
     Args:
-        stamp_ns: A Python integer or an array of them: the product is beyond 64 bits.
-        per_ns: Periods in a nanosecond, exactly.
+        stamp_ns: A Python integer or an array of them; the product exceeds 64 bits.
+        per_ns: Periods per nanosecond, exactly.
     """
     return stamp_ns * per_ns.numerator // per_ns.denominator
 
@@ -26,15 +26,15 @@ def period(stamp_ns: _Stamp, per_ns: Fraction) -> _Stamp:
 class Window:
     """Ring of the last N samples: the half-open interval (t - N dt, t] at the newest stamp t.
 
-    A sample that is not finite, has the newest stamp again or is older than it is dropped. An
-    interval longer than `max_gap` empties the window, since no window across it may be used; a
-    shorter one (some samples lost) does not. A step back by more than `max_gap` is a new beginning
-    (a recording that loops, a clock that was set), not a late sample: the window starts again.
+    Samples that are not finite, repeat the newest stamp or are older are dropped. An interval
+    longer than `max_gap` empties the window; a shorter one (some lost samples) does not. A step
+    back by more than `max_gap` is a restart (a recording that loops, a clock that was set) and not
+    a late sample: it empties the window.
 
     Attributes:
         stamp_ns: Newest stamp; None before the first sample.
-        counts: What was taken (``samples``), dropped (``not_finite``, ``duplicates``,
-            ``out_of_order``) and what emptied the window (``gaps``, ``restarts``).
+        counts: Samples used (``samples``) and dropped (``not_finite``, ``duplicates``,
+            ``out_of_order``), and events that emptied the window (``gaps``, ``restarts``).
     """
 
     def __init__(self, size: int, max_gap_ns: int) -> None:
@@ -61,7 +61,7 @@ class Window:
         return self._filled == self._size
 
     def add(self, stamp_ns: int, sample: Array) -> bool:
-        """Take a sample (6,); False where it was dropped (see `counts`)."""
+        """Add a sample (6,); False where it was dropped (see `counts`)."""
         if not np.isfinite(sample).all():
             self.counts["not_finite"] += 1
             return False

@@ -23,7 +23,6 @@ from insdvl.navigation.error_state import (
     VELOCITY,
     body_velocity_jacobian,
 )
-from insdvl.navigation.events import Initial
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import (
     DvlParameters,
@@ -34,9 +33,11 @@ from insdvl.navigation.parameters import (
     ProcessNoiseParameters,
 )
 from insdvl.simulation.dvl import DvlModel
+from insdvl.simulation.initial_errors import drawn_initial
 from insdvl.simulation.mission import ImuModel, simulate
+from insdvl.simulation.motion import Truth
 from insdvl.simulation.noise import constant
-from insdvl.simulation.trajectories import AUV, Truth
+from insdvl.simulation.trajectories import AUV
 from insdvl.timeline.recorded import fold_arrays
 
 FIRST_SEED = 31_415
@@ -115,21 +116,6 @@ def parameters(case: Case) -> FilterParameters:
     )
 
 
-def drawn_initial(truth: Truth, case: Case, rng: np.random.Generator) -> Initial:
-    """The truth less an error from P_0, in the frame that the velocity is declared in."""
-    C, v_n = truth.C_n_b[0], truth.v_n[0]
-    psi = rng.standard_normal(3) * [TILT_STD, TILT_STD, case.heading_std]
-    C_hat = Rotation.from_rotvec(psi).as_matrix().T @ C
-    v = C.T @ v_n if case.velocity_frame == "body" else v_n
-    return Initial(
-        stamp_ns=0,
-        C_n_b=C_hat,
-        p_n=truth.p_n[0] - POSITION_STD * rng.standard_normal(3),
-        v=v - case.velocity_std * rng.standard_normal(3),
-        velocity_frame=case.velocity_frame,
-    )
-
-
 @dataclass(frozen=True)
 class Study:
     """NEES (RUNS, epochs) of each block, and whitened innovations (RUNS, M, 3)."""
@@ -156,10 +142,10 @@ def fly(case: Case) -> Study:
             seed=seed,
             duration=case.duration,
             imu=IMU,
-            dvl=DvlModel(noise_std=np.full(3, DVL_STD), l_b_dvl=np.array(LEVER_ARM)),
+            dvl=DvlModel(noise_std=np.full(3, DVL_STD), lever_arm=LEVER_ARM),
         )
         rng = np.random.default_rng([seed, 1])
-        initial = drawn_initial(mission.initial, case, rng)
+        initial = drawn_initial(mission.initial, settings.initial, rng)
         pings = zip(mission.dvl_stamps_ns.tolist(), mission.v_d, strict=True)
         result = fold_arrays(
             settings,

@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from records import P15, fields
-from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from insdvl.navigation.error_state import ATTITUDE, VELOCITY, body_velocity_jacobian
-from insdvl.navigation.events import NS, Initial
+from insdvl.navigation.events import NS
 from insdvl.navigation.filter import Filter
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import (
@@ -22,6 +21,7 @@ from insdvl.navigation.parameters import (
     ProcessNoiseParameters,
 )
 from insdvl.simulation.dvl import DvlModel
+from insdvl.simulation.initial_errors import drawn_initial
 from insdvl.simulation.mission import ImuModel, Mission, simulate
 from insdvl.simulation.noise import constant, segments
 from insdvl.simulation.trajectories import AUV
@@ -69,17 +69,7 @@ def fly(
 
     The samples of a gap are missing as well.
     """
-    rng = np.random.default_rng([seed, 1])
-    initial = settings.initial
-    stds = [initial.tilt_std, initial.tilt_std, initial.heading_std]
-    C = m.initial.C_n_b[0]
-    start = Initial(
-        stamp_ns=0,
-        C_n_b=Rotation.from_rotvec(rng.standard_normal(3) * stds).as_matrix().T @ C,
-        p_n=m.initial.p_n[0] - initial.position_std * rng.standard_normal(3),
-        v=C.T @ m.initial.v_n[0] - initial.velocity_std * rng.standard_normal(3),
-        velocity_frame="body",
-    )
+    start = drawn_initial(m.initial, settings.initial, np.random.default_rng([seed, 1]))
     pings = [Dvl(t, v, R) for t, v in zip(m.dvl_stamps_ns.tolist(), v_d, strict=True)]
     if without is not None:
         del pings[without]
@@ -424,7 +414,7 @@ def test_a_burst_of_outliers_leaves_no_trace() -> None:
 
 def test_one_outlier_after_an_outage_restarts_nothing() -> None:
     """However long the last accepted measurement is ago: only rejections make the filter doubt."""
-    m = mission(duration=60.0, outages=((20.5, 50.5),))
+    m = mission(duration=60.0, outages=(20.5, 50.5))
     v_d = m.v_d.copy()
     v_d[20] += [30.0, 0.0, 0.0]
     result = fly(parameters(), m, v_d)
@@ -513,7 +503,7 @@ def test_an_outage_is_covered_and_left_smoothly(outage: float) -> None:
     """30 s of pings, an outage, 30 s of pings: errors within sigma, and no jump beyond it."""
     nees, nis, worst, rejected = [], [], [], 0
     for seed in range(SEED, SEED + RUNS):
-        m = mission(seed, 60.0 + outage, outages=((30.5, 30.5 + outage),))
+        m = mission(seed, 60.0 + outage, outages=(30.5, 30.5 + outage))
         result = fly(parameters(), m, m.v_d, seed=seed)
         assert len(result.updates) == 60
         rejected += sum(not u.report.accepted for u in result.updates)

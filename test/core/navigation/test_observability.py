@@ -85,7 +85,7 @@ def noisy_straight_run(earth_rate: bool) -> Mission:
         STRAIGHT,
         constant([0.01] * 3 + [0.001] * 3),
         seed=SEED,
-        dvl=DvlModel(l_b_dvl=ARM),
+        dvl=DvlModel(lever_arm=tuple(ARM)),
         earth_rate=earth_rate,
     )
 

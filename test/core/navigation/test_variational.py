@@ -55,8 +55,8 @@ def body_rmse(fold: FoldResult, run: Run) -> float:
 def test_the_filter_with_a_nominal_q_that_is_too_small_gains() -> None:
     run = Run(Study("varying", seed=3), TUNING, 0)
     setting, small = Setting("calibrated"), (1e-3, 1e-5)
-    constant = run.fold_told(setting.filter(small), np.empty(0, np.int64), np.empty((0, 6)))
-    adaptive = run.fold_told(
+    constant = run.fold_received(setting.filter(small), np.empty(0, np.int64), np.empty((0, 6)))
+    adaptive = run.fold_received(
         setting.filter(small, source="adaptive", adaptive_form="variational", adaptive_prior=10.0),
         np.empty(0, np.int64),
         np.empty((0, 6)),

@@ -23,8 +23,7 @@ import pytest
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, storage_mcap
 
 from insdvl import files, yaml_files
-from insdvl.jobs import parallel
-from insdvl.jobs.parallel import _kept
+from insdvl.jobs.store import MAX_RESULT_BYTES, read_result
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import ParameterError
 from insdvl.parameters.sections import load_section
@@ -39,8 +38,8 @@ from insdvl.recordings.bags import (
     typestore,
 )
 from insdvl.simulation.noise import from_file
-from insdvl.studies.evaluation import results
 from insdvl.studies.faults import page
+from insdvl.studies.results.command import documents
 from insdvl.tuner.forest import MAX_BYTES, Forest, ForestError
 from insdvl.tuner.models import MAX_WINDOW, ModelError, load_model
 from insdvl.tuner.network import Network, NetworkError
@@ -216,7 +215,7 @@ READERS = {
         ModelError,
     ),
     "result": Reader(
-        written("file.npz", npz(**TREES)), lambda folder: _kept(folder / "file.npz"), None
+        written("file.npz", npz(**TREES)), lambda folder: read_result(folder / "file.npz"), None
     ),
     "page of faults": Reader(
         written("messages.json", (RELIABILITY / "messages.json").read_bytes()),
@@ -229,7 +228,7 @@ READERS = {
     ),
     "page of results": Reader(
         written("window.json", (ROOT / "docs" / "results" / "window.json").read_bytes()),
-        results.documents,
+        documents,
         ValueError,
     ),
     "mcap": Reader(storage("mcap"), lambda folder: read_bag(folder / "bag"), BagError),
@@ -311,7 +310,7 @@ def test_a_damaged_network_is_run_or_refused() -> None:
             network.predict(np.ones((1, network.n_features)))
         except Exception as error:
             # An answer that is not finite is the row's, and no error of the file.
-            assert type(error) is NetworkError or "the network's answer" in str(error), repr(error)
+            assert type(error) is NetworkError or "the network's output" in str(error), repr(error)
             refused += 1
     assert refused > 10
 
@@ -370,14 +369,14 @@ def test_a_kept_result_that_never_ends_or_is_huge_is_computed_again(
 ) -> None:
     path = tmp_path / "file.npz"
     os.mkfifo(path)
-    assert _kept(path) is None
+    assert read_result(path) is None
     assert f"{path} is damaged (" in capsys.readouterr().err
     path.unlink()
     with path.open("wb") as file:
         file.truncate(10**12)
     with at_most(20 * MB):
-        assert _kept(path) is None
-    assert f"more than the limit of {parallel.MAX_RESULT_BYTES}" in capsys.readouterr().err
+        assert read_result(path) is None
+    assert f"more than the limit of {MAX_RESULT_BYTES}" in capsys.readouterr().err
 
 
 # ---------------------------------------------------------------- numbers of the pages

@@ -46,10 +46,10 @@ def test_one_seed_is_one_mission_to_the_bit():
 @pytest.mark.parametrize(
     ("changed", "what_differs"),
     [
-        ({"dvl": DvlModel(noise_std=np.full(3, 0.2))}, {"v_d"}),
+        ({"dvl": DvlModel(noise_std=(0.2,) * 3)}, {"v_d"}),
         ({"dvl": DvlModel(bias_std=0.1)}, {"v_d"}),
         ({"dvl": DvlModel(outlier_probability=0.3)}, {"v_d", "dvl_outlier"}),
-        ({"dvl": DvlModel(l_b_dvl=np.array([1.0, 0.0, 0.0]))}, {"v_d"}),
+        ({"dvl": DvlModel(lever_arm=(1.0, 0.0, 0.0))}, {"v_d"}),
         ({"imu": ImuModel(accelerometer_bias_std=0.1)}, {"f_b", "bias"}),
         ({"imu": ImuModel(gyroscope_bias_walk=1e-6)}, {"w_ib_b", "bias"}),
     ],
@@ -63,7 +63,7 @@ def test_a_setting_changes_its_own_error_only(changed, what_differs):
 
 def test_an_outage_takes_pings_away_and_changes_no_other():
     base = simulate(AUV, VARYING, seed=4, duration=60.0)
-    cut = simulate(AUV, VARYING, seed=4, duration=60.0, dvl=DvlModel(outages=((10.0, 20.0),)))
+    cut = simulate(AUV, VARYING, seed=4, duration=60.0, dvl=DvlModel(outages=(10.0, 20.0)))
     left = (base.dvl_stamps_ns < 10_000_000_000) | (base.dvl_stamps_ns >= 20_000_000_000)
     np.testing.assert_array_equal(cut.dvl_stamps_ns, base.dvl_stamps_ns[left])
     np.testing.assert_array_equal(cut.v_d, base.v_d[left])

@@ -4,11 +4,23 @@ import numpy as np
 import pytest
 from scipy.stats import kstest, uniform
 
-from insdvl.simulation.noise import SCENARIOS, NoiseProfile, constant, from_file, on_off, segments
+from insdvl.simulation.noise import (
+    SCENARIO_TEXTS,
+    SCENARIOS,
+    NoiseProfile,
+    constant,
+    from_file,
+    on_off,
+    segments,
+)
 
 
 def draw(factory, duration=330.0, seed=0):
     return factory(duration, np.random.default_rng(seed))
+
+
+def test_every_scenario_has_its_text():
+    assert list(SCENARIO_TEXTS) == list(SCENARIOS)
 
 
 def test_constant_scenarios():
@@ -112,7 +124,7 @@ def test_file(tmp_path):
     ("text", "message"),
     [
         ("0,1,1,1,1,1,1\n1,1,1,1,x,1,1\n", "line 2: not seven numbers"),
-        ("0,1,1,1,1,1\n", "line 1: 7 values are needed, got 6"),
+        ("0,1,1,1,1,1\n", "line 1: expected 7 values, got 6"),
         ("# nothing\n", "no line with a time"),
         ("1,1,1,1,1,1,1\n", "times must start at 0"),
         ("0,1,1,1,1,1,-1\n", "variances must be finite and >= 0"),

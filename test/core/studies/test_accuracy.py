@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from insdvl.jobs import parallel
-from insdvl.jobs.parallel import Workers
+from insdvl.jobs.options import Workers
+from insdvl.jobs.pool import open_pool
 from insdvl.simulation.trajectories import AUV, STATIC
-from insdvl.studies.evaluation import accuracy
+from insdvl.studies.results import accuracy
 from insdvl.studies.training import dataset
 from insdvl.studies.training.dataset import VARIANCES, Recipe
 from insdvl.tuner.features.closed_form import degree_5
@@ -20,10 +20,10 @@ SMALL = 4  # windows of each channel of a recording
 @pytest.fixture(scope="module")
 def document():
     """The study with 2 repetitions and a data set of 1,440 examples."""
-    with pytest.MonkeyPatch.context() as patch, parallel.pool(Workers(jobs=1)) as pool:
+    with pytest.MonkeyPatch.context() as patch, open_pool(Workers(jobs=1)) as pool:
         patch.setattr(accuracy, "REPETITIONS", 2)
         patch.setattr(accuracy, "Recipe", lambda *given: Recipe(*given, n_windows=SMALL))
-        return accuracy.study(3, pool)
+        return accuracy.study_accuracy(3, pool)
 
 
 def test_the_rows_and_the_document_are_complete(document):
@@ -31,7 +31,7 @@ def test_the_rows_and_the_document_are_complete(document):
     assert {"hcf paper", "hcf default", *accuracy.CLOSED_FORMS} <= set(rows)
     assert set(rows) | set(document["omitted"]) >= {"dnn", "dnn default"}
     assert json.loads(json.dumps(document)) == document
-    text = accuracy.markdown(document)
+    text = accuracy.accuracy_tables(document)
     for row in rows:
         assert f"| {row} |" in text
 
@@ -65,10 +65,10 @@ def test_the_limits_hold(document):
 
 
 def test_workers_and_seed():
-    with parallel.pool(Workers(jobs=1)) as pool:
+    with open_pool(Workers(jobs=1)) as pool:
         tasks = {"a": (0, 0), "b": (0, 1)}
         flights = [
-            pool.run(accuracy.unseen_flight, tasks, shared=(["degree-5 detrend"], seed))
+            pool.compute(accuracy.unseen_flight, tasks, shared=(["degree-5 detrend"], seed))
             for seed in (1, 1, 2)
         ]
     first, again, other = ([result["relative_errors"] for result in runs] for runs in flights)

@@ -6,11 +6,13 @@ from pathlib import Path
 import pytest
 
 from insdvl.cli import main
-from insdvl.jobs.parallel import Workers, pool
-from insdvl.studies.evaluation import page
+from insdvl.jobs.options import Workers
+from insdvl.jobs.pool import open_pool
 from insdvl.studies.evaluation.approaches import Setting
 from insdvl.studies.evaluation.comparison import Plan, compare
-from insdvl.studies.evaluation.results import PARTS, documents
+from insdvl.studies.results.command import PARTS, documents
+from insdvl.studies.results.page import results_page
+from insdvl.studies.results.targets import row
 
 DOCS = Path(__file__).parents[3] / "docs"
 
@@ -22,7 +24,7 @@ def results(folder: Path, *options: str) -> int:
 def test_the_page_in_docs_is_the_one_of_its_numbers() -> None:
     found = documents(DOCS / "results")
     assert set(found) == set(PARTS)
-    assert (DOCS / "results.md").read_text() == page.markdown(found)
+    assert (DOCS / "results.md").read_text() == results_page(found)
 
 
 def test_pictures_of_the_page_are_there() -> None:
@@ -42,16 +44,16 @@ def test_a_page_without_numbers_says_so(tmp_path: Path) -> None:
 def document() -> dict:
     rows = ("constant 0.01/0.001", "hcf default", "oracle")
     plan = Plan("varying", Setting("calibrated"), runs=2, seed=4, rows=rows, duration=15.0)
-    with pool(Workers(jobs=1)) as workers:
-        return compare(plan, workers).document | {"environment": {}}
+    with open_pool(Workers(jobs=1)) as pool:
+        return compare(plan, pool).document | {"environment": {}}
 
 
 def test_targets_are_judged_by_the_numbers(document: dict) -> None:
     def judged(upper_end: float) -> str:
-        learned = page.row(document, "hcf default")
+        learned = row(document, "hcf default")
         assert learned is not None
         learned["ratio_to"]["oracle"]["body_rmse"] = [1.0, 0.9, upper_end]
-        text = page.markdown({"varying-calibrated": document})
+        text = results_page({"varying-calibrated": document})
         (line,) = [
             x for x in text.splitlines() if "`varying`: body velocity, learned / oracle" in x
         ]
@@ -67,7 +69,7 @@ def test_the_tables_have_the_numbers_of_the_document(document: dict, tmp_path: P
     file.write_text(json.dumps(document))
     assert results(tmp_path, "--parts", "none") == 0
     text = (tmp_path / "results.md").read_text()
-    oracle = page.row(document, "oracle")
+    oracle = row(document, "oracle")
     assert oracle is not None
     assert f"| oracle | {oracle['body_rmse']:.4f} [" in text
     assert "Not computed: varying-calibrated." not in text

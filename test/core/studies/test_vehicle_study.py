@@ -10,14 +10,17 @@ import pytest
 from recordings import record, save
 
 from insdvl import cli
-from insdvl.jobs import parallel
-from insdvl.jobs.parallel import Workers
+from insdvl.jobs.options import Workers
+from insdvl.jobs.pool import open_pool
 from insdvl.recordings.bags import BagError
 from insdvl.simulation.mission import simulate
 from insdvl.simulation.noise import constant
 from insdvl.simulation.trajectories import BASELINE
-from insdvl.studies.evaluation import vehicle
-from insdvl.studies.evaluation.vehicle import METRICS, Run, Settings, Shared
+from insdvl.studies.replay.command import errors_of
+from insdvl.studies.results import recordings, vehicle, vehicle_runs
+from insdvl.studies.results.recordings import Settings
+from insdvl.studies.results.vehicle_runs import METRICS, NoisyRun, Shared
+from insdvl.studies.results.vehicle_tables import vehicle_tables
 from insdvl.tuner.models import load_model
 
 SEED = 3
@@ -73,14 +76,14 @@ def settings(tmp_path_factory: pytest.TempPathFactory) -> Settings:
 
 @pytest.fixture(scope="module")
 def shared(folder: Path, settings: Settings) -> Shared:
-    recordings = vehicle.load_all(folder, settings)
-    return Shared(settings, {r.name: r for r in recordings}, {MODEL: load_model("paper")})
+    loaded = recordings.load_all(folder, settings)
+    return Shared(settings, {r.name: r for r in loaded}, {MODEL: load_model("paper")})
 
 
 @pytest.fixture(scope="module")
 def document(shared: Shared) -> dict[str, Any]:
-    with parallel.pool(Workers(jobs=1)) as pool:
-        return vehicle.study(
+    with open_pool(Workers(jobs=1)) as pool:
+        return vehicle.study_recordings(
             list(shared.recordings.values()),
             shared.settings,
             shared.models,
@@ -94,9 +97,9 @@ def document(shared: Shared) -> dict[str, Any]:
 @pytest.fixture(scope="module")
 def rows_of_c(shared: Shared) -> dict[str, Any]:
     """All rows of a noisy recording, and the seed of the noise."""
-    limits = vehicle.INJECTIONS["sensor"]
-    injected = vehicle.injection(shared.recordings["c"], limits, SEED, vehicle.TEST, 1)
-    rows = vehicle.all_rows(shared, Run("c", injected, {}))
+    limits = vehicle_runs.INJECTIONS["sensor"]
+    injected = vehicle_runs.injection(shared.recordings["c"], limits, SEED, vehicle_runs.TEST, 1)
+    rows = vehicle_runs.all_rows(shared, NoisyRun("c", injected, {}))
     return {"injection": injected, "seed": injected.seed, "rows": rows}
 
 
@@ -107,7 +110,7 @@ def rows_of_c(shared: Shared) -> dict[str, Any]:
 def test_a_run_of_the_study_is_that_of_the_replay(
     folder: Path, rows_of_c: dict[str, Any], tmp_path: Path, row: str, source: str, gate: bool
 ) -> None:
-    noise = ",".join(f"{limit!r}" for triad in vehicle.INJECTIONS["sensor"] for limit in triad)
+    noise = ",".join(f"{limit!r}" for triad in vehicle_runs.INJECTIONS["sensor"] for limit in triad)
     arguments = ["replay", str(folder / "c"), "--config", str(config(tmp_path, source, gate=gate))]
     arguments += ["--inject-noise", noise, "--seed", str(rows_of_c["seed"])]
     assert cli.main([*arguments, "--json", str(tmp_path / "c.json")]) == 0
@@ -121,7 +124,7 @@ def test_a_run_of_the_study_is_that_of_the_replay(
 def test_a_recording_as_it_is_has_no_injected_noise_to_be_told(
     folder: Path, shared: Shared, tmp_path: Path
 ) -> None:
-    rows = vehicle.all_rows(shared, Run("c", None, {}))
+    rows = vehicle_runs.all_rows(shared, NoisyRun("c", None, {}))
     assert set(rows) == {MODEL, "closed form", "hand-set"}
     arguments = ["replay", str(folder / "c"), "--config", str(config(tmp_path, "constant"))]
     assert cli.main([*arguments, "--json", str(tmp_path / "c.json")]) == 0
@@ -137,14 +140,14 @@ def test_the_honest_total_is_the_injected_and_the_hand_set_noise(
     nominal = [3e-3, 2e-3, 1e-3, 1e-8, 2e-8, 3e-8]
     every = recording.stamps_ns - 10_000_000, q + nominal  # told with each sample
     samples = recording.samples + noise
-    result = vehicle.fold(settings, recording, samples, settings.told(), every)
-    errors = vehicle.errors_of(result, recording.truth_ns, recording.truth)
+    result = vehicle_runs.filtered(settings, recording, samples, settings.external(), every)
+    errors = errors_of(result, recording.truth_ns, recording.truth)
     found = rows_of_c["rows"]["told with hand-set"][0]
     assert found == pytest.approx(errors["body_velocity_rmse"])
 
 
 def test_recordings_of_one_stretch_are_found(shared: Shared) -> None:
-    assert vehicle.stretches(list(shared.recordings.values())).tolist() == [0, 0, 1]
+    assert recordings.stretches(list(shared.recordings.values())).tolist() == [0, 0, 1]
 
 
 def test_every_run_has_its_own_noise(shared: Shared, document: dict[str, Any]) -> None:
@@ -154,9 +157,9 @@ def test_every_run_has_its_own_noise(shared: Shared, document: dict[str, Any]) -
         for seeds in numbers["seeds"].values()
         for seed in seeds
     ]
-    limits = vehicle.INJECTIONS["sensor"]
+    limits = vehicle_runs.INJECTIONS["sensor"]
     tuning = [
-        vehicle.injection(recording, limits, SEED, vehicle.TUNING, k).seed
+        vehicle_runs.injection(recording, limits, SEED, vehicle_runs.TUNING, k).seed
         for recording in shared.recordings.values()
         for k in range(2)
     ]
@@ -167,16 +170,16 @@ def test_every_run_has_its_own_noise(shared: Shared, document: dict[str, Any]) -
 def test_the_best_constant_has_not_seen_the_stretch_that_it_is_used_on(
     shared: Shared, document: dict[str, Any]
 ) -> None:
-    for name, limits in vehicle.INJECTIONS.items():
+    for name, limits in vehicle_runs.INJECTIONS.items():
         numbers = document["injections"][name]
         candidates = vehicle.grid(limits)
         cost = {}
         for recording in shared.recordings.values():
-            tried = vehicle.constant_run(
+            tried = vehicle_runs.constant_run(
                 shared,
-                Run(
+                NoisyRun(
                     recording.name,
-                    vehicle.injection(recording, limits, SEED, vehicle.TUNING, 0),
+                    vehicle_runs.injection(recording, limits, SEED, vehicle_runs.TUNING, 0),
                     {f"{i}": q for i, q in enumerate(candidates)},
                 ),
             )
@@ -196,18 +199,15 @@ def test_the_grid_spans_what_is_injected() -> None:
 def test_the_numbers_are_means_and_ratios_of_the_runs(
     shared: Shared, document: dict[str, Any]
 ) -> None:
-    limits = vehicle.INJECTIONS["published"]
+    limits = vehicle_runs.INJECTIONS["published"]
     numbers = document["injections"]["published"]
-    runs = {
-        name: [
-            vehicle.all_rows(
-                shared,
-                Run(name, vehicle.injection(recording, limits, SEED, vehicle.TEST, k), {}),
-            )
-            for k in range(2)
-        ]
-        for name, recording in shared.recordings.items()
-    }
+
+    def rows(name: str, k: int) -> dict[str, Any]:
+        recording = shared.recordings[name]
+        injected = vehicle_runs.injection(recording, limits, SEED, vehicle_runs.TEST, k)
+        return vehicle_runs.all_rows(shared, NoisyRun(name, injected, {}))
+
+    runs = {name: [rows(name, k) for k in range(2)] for name in shared.recordings}
     heading = list(METRICS).index("heading_rmse_deg")
     mean = {
         row: np.mean([[run[row][heading] for run in runs[name]] for name in runs], axis=1)
@@ -226,22 +226,22 @@ def test_the_numbers_are_means_and_ratios_of_the_runs(
 
 
 def test_what_is_kept_holds_for_the_same_inputs_only(folder: Path, shared: Shared) -> None:
-    recordings, settings, models = list(shared.recordings.values()), shared.settings, shared.models
-    first = vehicle.fingerprint(recordings, settings, models)
-    assert vehicle.fingerprint(vehicle.load_all(folder, settings), settings, models) == first
+    loaded, settings, models = list(shared.recordings.values()), shared.settings, shared.models
+    first = recordings.fingerprint(loaded, settings, models)
+    assert recordings.fingerprint(recordings.load_all(folder, settings), settings, models) == first
     other_filter = replace(settings, filter=replace(settings.filter, q_timeout=2.0))
-    noisier = replace(recordings[0], samples=recordings[0].samples + 1e-9)
+    noisier = replace(loaded[0], samples=loaded[0].samples + 1e-9)
     for changed in (
-        vehicle.fingerprint(recordings, other_filter, models),
-        vehicle.fingerprint([noisier, *recordings[1:]], settings, models),
-        vehicle.fingerprint(recordings, settings, {}),
+        recordings.fingerprint(loaded, other_filter, models),
+        recordings.fingerprint([noisier, *loaded[1:]], settings, models),
+        recordings.fingerprint(loaded, settings, {}),
     ):
         assert changed != first
 
 
 def test_the_tables_have_all_rows(document: dict[str, Any]) -> None:
     assert json.loads(json.dumps(document, allow_nan=False)) is not None
-    text = vehicle.markdown(document)
+    text = vehicle_tables(document)
     for row in ("told", "told with hand-set", MODEL, "closed form", "hand-set", "best constant"):
         assert text.count(f"\n| {row} |") >= 2
     assert "| closed form, tilt |" in text
@@ -250,11 +250,11 @@ def test_the_tables_have_all_rows(document: dict[str, Any]) -> None:
 def test_a_folder_that_cannot_be_used_is_refused(
     folder: Path, settings: Settings, tmp_path: Path
 ) -> None:
-    with pytest.raises(BagError, match="absent is no folder of recordings"):
-        vehicle.load_all(tmp_path / "absent", settings)
+    with pytest.raises(BagError, match="absent is not a folder of recordings"):
+        recordings.load_all(tmp_path / "absent", settings)
     with pytest.raises(BagError, match="has 0 recordings"):
-        vehicle.load_all(tmp_path, settings)
+        recordings.load_all(tmp_path, settings)
     for name in ("a", "b"):
         (tmp_path / name).symlink_to(folder / name)
-    with pytest.raises(BagError, match="has 2 recordings, and two of different stretches"):
-        vehicle.load_all(tmp_path, settings)
+    with pytest.raises(BagError, match="has 2 recordings; two of different stretches"):
+        recordings.load_all(tmp_path, settings)

@@ -64,8 +64,8 @@ def mission(seconds: float, seed: int = SEED) -> list[Event]:
         duration=seconds,
         dvl=DvlModel(
             rate=2.0,
-            C_b_d=rotation_from_rpy(np.array(SETTINGS.dvl.mount)),
-            l_b_dvl=np.array([0.5, 0.0, 0.3]),
+            mount=SETTINGS.dvl.mount,
+            lever_arm=(0.5, 0.0, 0.3),
         ),
         start_ns=START,
     )

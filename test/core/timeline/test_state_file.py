@@ -25,6 +25,7 @@ from insdvl.navigation.odometry import Odometry, odometry
 from insdvl.navigation.parameters import FilterParameters, OriginParameters
 from insdvl.navigation.state import NEVER
 from insdvl.parameters.declaration import build
+from insdvl.simulation.initial_errors import drawn_initial
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import SCENARIOS
 from insdvl.simulation.trajectories import trajectory_named
@@ -118,10 +119,9 @@ def killed_and_restarted(m: Mission, seed: int, down: float) -> tuple[np.ndarray
         if stamp <= stamps[killed]:
             first.add(Dvl(stamp, v))
     truth = m.truth
-    psi = rng.normal(0.0, [parameters.initial.tilt_std] * 2 + [parameters.initial.heading_std])
-    C = rotation(-psi) @ m.initial.C_n_b[0]
-    v_b = m.initial.C_n_b[0].T @ m.initial.v_n[0] + rng.normal(0.0, 0.1, 3)
-    first.add(Initial(m.start_ns, C, m.initial.p_n[0], v_b, "body"))
+    first.add(
+        drawn_initial(m.initial, parameters.initial, rng, stamp_ns=m.start_ns, with_position=False)
+    )
     samples = slice(0, killed + 1)
     first.add_recording(stamps[samples], m.f_b[samples], m.w_ib_b[samples], [])
     fold = resumed(kept(first), parameters)

@@ -99,8 +99,11 @@ def test_an_even_window_with_both_signs_computed_by_hand():
     assert values["absolute_mean"] == 2.0
 
 
-@pytest.mark.parametrize("size", [4, 5, 7, 8, 9, 10, 63, 199, 200, 401])
-@pytest.mark.parametrize("offset", [0.0, 0.05, -9.8, 1e3])
+@pytest.mark.parametrize(
+    ("size", "offset"),
+    [(size, -9.8) for size in (4, 5, 7, 8, 9, 10, 63, 199, 200, 401)]
+    + [(200, offset) for offset in (0.0, 0.05, 1e3)],
+)
 def test_agrees_with_the_definition(size, offset):
     rng = np.random.default_rng(size)
     windows = offset + 0.1 * rng.standard_normal((20, size)) + 0.01 * np.arange(size) / size

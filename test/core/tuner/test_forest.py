@@ -126,7 +126,7 @@ def test_what_is_no_mean_of_regression_trees_is_refused():
     X, y = rng.standard_normal((50, 3)), rng.standard_normal((50, 2))
     for ensemble, message in (
         (BaggingRegressor(KNeighborsRegressor()).fit(X, y[:, 0]), "got KNeighborsRegressor"),
-        (RandomForestRegressor(3).fit(X, y), "must have one answer, got 2"),
+        (RandomForestRegressor(3).fit(X, y), "must have one output, got 2"),
         (GradientBoostingRegressor(n_estimators=3).fit(X, y[:, 0]), "must be a mean of trees"),
         (DecisionTreeRegressor().fit(X, y[:, 0]), "must be a mean of trees"),
     ):
@@ -213,7 +213,7 @@ def test_two_trees_written_by_hand():
         ({"extra": np.zeros(1)}, "unknown array 'extra'"),
         ({"feature": TREE["feature"].astype(np.int64)}, "feature must be int16"),
         ({"value": TREE["value"].astype(np.float32)}, "value must be float64"),
-        ({"threshold": TREE["threshold"][None]}, "threshold must be float32 of 1 dimensions"),
+        ({"threshold": TREE["threshold"][None]}, "threshold must be float32 with 1 dimensions"),
         ({"feature": np.array([0, -1, 2, -1, -1], np.int16)}, r"feature has 2.*\[-1, 2\)"),
         ({"feature": np.array([0, -1, -2, -1, -1], np.int16)}, "feature has -2"),
         ({"n_features": np.array(1, np.int32)}, "feature has 1"),

@@ -26,7 +26,7 @@ LOADERS = {
 }
 MODULES = {"shelve", "dill", "cloudpickle", "_pickle"}
 #: The one that may: what a worker gets through the pipe of the process that made it.
-ALLOWED = {("parallel.py", "pickle.loads")}
+ALLOWED = {("backends.py", "pickle.loads")}
 
 
 def loaders(tree: ast.AST) -> Iterator[str]:
@@ -116,23 +116,24 @@ def product(matrix, task):
 
 PROGRAM = """
 import sys
-import joblib, numpy as np
-from insdvl.jobs import parallel
+import numpy as np
+from pathlib import Path
+from insdvl.jobs.options import Workers
+from insdvl.jobs.pool import open_pool
+from insdvl.jobs.store import Store
 from tasks_of_test import product
 
-matrix = np.random.default_rng(0).standard_normal((1000, 1000))  # joblib would put it in a file
+matrix = np.random.default_rng(0).standard_normal((400, 400))  # joblib would put it in a file
 tasks = {f"{k}": matrix + k for k in range(4)}
 results = {}
 for jobs in (1, 2):
-    with parallel.pool(parallel.Workers("loky", jobs)) as pool:
-        store = parallel.Store(parallel.Path(sys.argv[1], f"{jobs}"), {})
-        kept = pool.run(product, tasks, matrix, store)
-        assert [r["product"].tobytes() for r in pool.run(product, tasks, matrix, store)] == [
+    with open_pool(Workers("loky", jobs)) as pool:
+        store = Store(Path(sys.argv[1], f"{jobs}"), {}, Path(__file__))
+        kept = pool.compute(product, tasks, matrix, store)
+        assert [r["product"].tobytes() for r in pool.compute(product, tasks, matrix, store)] == [
             r["product"].tobytes() for r in kept]
         results[jobs] = [r["product"].tobytes() for r in kept]
 assert results[1] == results[2]
-if len(sys.argv) > 2:
-    joblib.load(sys.argv[2])
 """
 
 
@@ -165,17 +166,18 @@ def test_a_run_opens_no_file_that_holds_a_pickle(program: Path, tmp_path: Path) 
     assert done.returncode == 0, done.stderr
     assert not (program / "opened").exists(), (program / "opened").read_text()
 
-    # The tripwire works: the same with a pickle at the end.
+    # The tripwire works.
     joblib.dump({"a": 1}, tmp_path / "pickle")
-    command.append(str(tmp_path / "pickle"))
-    subprocess.run(command, env=environment(program), check=True, capture_output=True)
+    load = f"import joblib; joblib.load({str(tmp_path / 'pickle')!r})"
+    subprocess.run([sys.executable, "-c", load], env=environment(program), check=True)
     assert set((program / "opened").read_text().split()) == {str(tmp_path / "pickle")}
 
 
 INTERRUPTED = """
 import os, signal, time
 import numpy as np
-from insdvl.jobs import parallel
+from insdvl.jobs.options import Workers
+from insdvl.jobs.pool import open_pool
 
 def sleep(shared, task):
     open(os.path.join(os.environ["STARTED"], str(os.getpid())), "w").close()
@@ -183,8 +185,8 @@ def sleep(shared, task):
 
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in a background job
-    with parallel.pool(parallel.Workers("loky", 2)) as pool:
-        pool.run(sleep, {f"{k}": k for k in range(9)}, np.zeros(1_000_000))
+    with open_pool(Workers("loky", 2)) as pool:
+        pool.compute(sleep, {f"{k}": k for k in range(9)}, np.zeros(1_000_000))
 """
 
 

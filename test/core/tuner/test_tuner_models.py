@@ -156,11 +156,11 @@ def test_a_card_that_is_not_a_json_object_is_named(model, text, reason):
         ({"sha256": None}, "sha256 must be of type str, got None"),
         ({"feature_schema": 3}, "feature_schema must be of type str, got 3"),
         ({"kind": None}, "kind must be of type str, got None"),
-        ({"kind": "oracle"}, "kind 'oracle' is unknown, known are forest, network"),
+        ({"kind": "oracle"}, "kind 'oracle' is unknown; known are forest, network"),
         ({"window": "200"}, "window must be of type int, got '200'"),
         ({"window": True}, "window must be of type int, got True"),
         ({"window": 2}, "window must be >= 3 and <= 10000, got 2"),
-        ({"feature_schema": "wavelets"}, "'wavelets' is unknown, known are default, paper"),
+        ({"feature_schema": "wavelets"}, "'wavelets' is unknown; known are default, paper"),
         ({"features": list(FEATURE_NAMES[::-1])}, "features are not those of the schema 'paper'"),
         ({"features": []}, "features are not those of the schema 'paper'"),
     ],
@@ -237,7 +237,7 @@ def test_a_model_is_written_whole_or_not_at_all(model, monkeypatch):
         ({"window": 1}, "window must be >= 3"),
         ({"features": ["mean"]}, "features are not those of the schema"),
         ({"feature_schema": "window", "features": []}, "has 24 features"),
-        ({"name": "../paper"}, "must be that of a file, got '../paper'"),
+        ({"name": "../paper"}, "must be a valid file name, got '../paper'"),
         ({"name": None}, "name must be of type str"),
     ):
         with pytest.raises(ModelError, match=message):
@@ -261,7 +261,7 @@ def test_a_model_is_written_whole_or_not_at_all(model, monkeypatch):
 
 def test_prediction_needs_no_scikit_learn():
     program = (
-        "import sys; from insdvl.tuner.tuner import Tuner; from insdvl.parameters import "
+        "import sys; from insdvl.tuner.tuner import Tuner; from insdvl.tuner.parameters import "
         "TunerParameters; Tuner(TunerParameters()); print('sklearn' in sys.modules)"
     )
     ended = subprocess.run(

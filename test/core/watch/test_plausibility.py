@@ -139,9 +139,7 @@ def test_where_noise_hides_which_one_it_is_all_that_fit_are_named(axis: str) -> 
 def test_a_reversed_axis_of_the_dvl_is_named_when_it_measures_motion(axis: str) -> None:
     """Mounted so that the axis looks along the vehicle's, and so has something to measure."""
     mount = {"x": [0.0, 0.0, 0.0], "y": [0.0, 0.0, -np.pi / 2], "z": [0.0, np.pi / 2, 0.0]}[axis]
-    parameters = build(FilterParameters, {"dvl.mount": mount, "frame_convention": "ned"})
-    C_b_d = FrameCheck(parameters)._C_i_d
-    model = DvlModel(C_b_d=C_b_d, noise_std=np.full(3, 0.01))
+    model = DvlModel(mount=tuple(mount), noise_std=np.full(3, 0.01))
     trajectory = BASELINE["straight"]
     mission = simulate(trajectory, SCENARIOS["constant-tableI"], seed=3, duration=125.0, dvl=model)
     options = {"dvl.mount": mount, "frame_convention": "ned"}
@@ -186,11 +184,11 @@ def test_errors_of_the_sensors_are_no_wrong_axes() -> None:
         duration=300.0,
         imu=ImuModel(accelerometer_bias_std=0.1, gyroscope_bias_std=2e-3),
         dvl=DvlModel(
-            l_b_dvl=np.array(lever_arm) * [1.0, -1.0, -1.0],
+            lever_arm=tuple(np.array(lever_arm) * [1.0, -1.0, -1.0]),
             noise_std=np.full(3, 0.02),
             bias_std=0.1,
             bias_time_constant=100.0,
-            outages=((60.0, 90.0),),
+            outages=(60.0, 90.0),
             outlier_probability=0.05,
         ),
     )

@@ -1,8 +1,7 @@
-"""The rows of the comparison: filters that differ in where their process noise comes from.
+"""The rows of the comparison: filters that differ in the source of their process noise.
 
-Names are those of the reports and of the option --rows. Some rows are the best of several
-candidates, settled on seeds of their own: the best constant Q, the best innovation-adaptive
-filters.
+Reports and the option --rows use the same names. Some rows are the best of several candidates,
+chosen on seeds of their own: the best constant Q, the best innovation-adaptive filters.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,9 +19,9 @@ from insdvl.tuner.features.closed_form import degree_5
 from insdvl.tuner.models import Model, ModelError, load_model
 from insdvl.tuner.offline import Estimator
 
-#: What the filter believes, by preset: `calibrated` is this project's filter; `paper` the published
-#: one, whose variances are used as densities and whose bias walks have the density 0.001;
-#: `paper-no-walk` the same without bias walks, to show what those do.
+#: Parameters of the filter by preset: `calibrated` is this project's filter; `paper` is the
+#: published one, which uses variances as densities and bias walks of density 0.001;
+#: `paper-no-walk` is the same without bias walks, to show their effect.
 PRESETS: Mapping[str, Mapping[str, Any]] = {
     "calibrated": {
         "error_state": "invariant",
@@ -47,7 +46,7 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
 FIRST = (0.01, 0.001)  # the first published constant: variances of f_b [(m/s^2)^2], w_ib_b
 SECOND = (0.2, 0.02)  # the second, 20 times the first
 
-#: Learned process noise: the row, and the model that it uses.
+#: Model of each row with learned process noise.
 LEARNED = {
     "hcf paper": "paper",
     "hcf default": "default",
@@ -86,10 +85,10 @@ ROWS = (
     ZERO_VELOCITY,
     PERFECT_HEADING,
 )
-#: Rows that no filter makes: they follow from the truth, and from the oracle's result.
+#: Rows that need no filter of their own: they follow from the truth and the result of the oracle.
 FLOORS = (ZERO_VELOCITY, PERFECT_HEADING)
 
-#: Beginning of the row of a model that does not ship; its path follows.
+#: Prefix of the row of a model that does not ship; the path of the model follows.
 OWN_MODEL = "model "
 
 #: Samples in the window of the closed form.
@@ -101,24 +100,24 @@ class Approach:
     """A filter and where its Q comes from.
 
     Attributes:
-        name: Of the row, or of the candidate.
-        parameters: Of the filter.
-        learner: Row of a learned model, `CLOSED_FORM` or `ORACLE`: who tells the filter its Q;
-            empty where the filter needs nobody.
+        name: Name of the row, or of the candidate.
+        parameters: Parameters of the filter.
+        q_source: The source of a received Q: the row of a learned model, `CLOSED_FORM` or `ORACLE`;
+            empty where the filter receives none.
     """
 
     name: str
     parameters: FilterParameters
-    learner: str = ""
+    q_source: str = ""
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What all rows of a table share.
+    """Settings that all rows of a table share.
 
     Attributes:
         preset: Key of `PRESETS`.
-        error_state: ``invariant`` or ``ned``; empty for that of the preset.
+        error_state: ``invariant`` or ``ned``; empty selects that of the preset.
         gate: Whether the chi-square gate is on.
     """
 
@@ -127,11 +126,11 @@ class Setting:
     gate: bool = False
 
     def filter(self, variances: Sequence[float] = FIRST, **values: Any) -> FilterParameters:
-        """Parameters of a filter with these nominal variances (of f_b and of w_ib_b).
+        """Parameters of a filter.
 
         Args:
-            variances: Nominal variances of every axis.
-            values: Parameters of the process noise, by their names in that group.
+            variances: Nominal variances of each axis of f_b and of w_ib_b.
+            values: Further parameters of the group ``process_noise``, by name.
         """
         given = {
             **PRESETS[self.preset],
@@ -150,7 +149,7 @@ class Setting:
 
 
 def approach(name: str, setting: Setting) -> Approach:
-    """The approach of a row that needs no search."""
+    """The approach of a row whose parameters are not searched for."""
     if name == FIRST_CONSTANT:
         return Approach(name, setting.filter(FIRST))
     if name == SECOND_CONSTANT:
@@ -160,7 +159,7 @@ def approach(name: str, setting: Setting) -> Approach:
     if name in _FLOORED:
         return _adaptive(name, setting, FIRST, _FLOORED[name], "floored")
     source = "oracle" if name == ORACLE else "external"
-    return Approach(name, setting.filter(source=source), learner=name)
+    return Approach(name, setting.filter(source=source), q_source=name)
 
 
 def _adaptive(
@@ -170,8 +169,8 @@ def _adaptive(
     return Approach(name, parameters)
 
 
-#: Variances of the search for the best constant: decades around all that the scenarios have, then
-#: steps of a third of a decade around the best of those.
+#: Variances of the search for the best constant: decades around those of the scenarios, then steps
+#: of a third of a decade around the best decade.
 _F_DECADES = (1e-4, 1e-3, 1e-2, 1e-1, 1.0)
 _W_DECADES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
 _STEPS = tuple(10.0 ** (step / 3.0) for step in range(-1, 2))
@@ -180,7 +179,7 @@ _TAU_GRID = (1.0, 3.0, 10.0, 30.0)
 
 
 def constants(setting: Setting, around: Approach | None = None) -> tuple[Approach, ...]:
-    """Candidates for the best constant Q: over decades, or finely around the best of those."""
+    """Candidates for the best constant Q: over decades, or in finer steps around the best one."""
     if around is None:
         grid = product(_F_DECADES, _W_DECADES)
     else:
@@ -198,10 +197,11 @@ def nominal(approach: Approach) -> tuple[float, float]:
 def adaptives(setting: Setting, best: tuple[float, float]) -> dict[str, tuple[Approach, ...]]:
     """Candidates for the best innovation-adaptive filters, by row.
 
-    Each is tried with the first published constant and with the best constant as its nominal Q.
+    Each window and prior is tried with two nominal Q: the first published constant and the best
+    constant.
 
     Args:
-        setting: Of the table.
+        setting: Setting of the table.
         best: Variances of the best constant.
     """
     xi = tuple(
@@ -227,17 +227,17 @@ def model_of(row: str) -> str | None:
 
 @cache
 def model(row: str) -> Model | None:
-    """The model of a row, None where the row has none; read once.
+    """The model of a row, read once; None where the row has none.
 
     Raises:
-        ModelError: It cannot be used.
+        ModelError: The model cannot be used.
     """
     name = model_of(row)
     return None if name is None else load_model(name)
 
 
 def unavailable(rows: Sequence[str]) -> dict[str, str]:
-    """Rows that cannot be computed here, and why."""
+    """Reason of each row that cannot be computed here."""
     reasons = {}
     for row in rows:
         try:
@@ -248,17 +248,17 @@ def unavailable(rows: Sequence[str]) -> dict[str, str]:
 
 
 def fingerprint(rows: Sequence[str]) -> dict[str, str]:
-    """SHA-256 of the models that the rows use, by row."""
+    """SHA-256 of the model of each row that has one."""
     missing = unavailable(rows)
     models = {row: model(row) for row in rows if row not in missing}
     return {row: found.card["sha256"] for row, found in models.items() if found is not None}
 
 
-def estimator(learner: str) -> tuple[Estimator, int]:
-    """The estimator of a learner, and its window.
+def estimator(row: str) -> tuple[Estimator, int]:
+    """The estimator of a row with a learned Q or of `CLOSED_FORM`, and its window in samples.
 
     Raises:
-        ModelError: Its model cannot be used.
+        ModelError: The model of the row cannot be used.
     """
-    found = model(learner)
+    found = model(row)
     return (degree_5, WINDOW) if found is None else (found.variances, found.window)

@@ -6,14 +6,16 @@ from dataclasses import asdict
 from pathlib import Path
 
 from insdvl.files import check_writable, json_text, write
-from insdvl.jobs import parallel
-from insdvl.jobs.parallel import Store, TaskError
+from insdvl.jobs.options import add_worker_options, workers_from
+from insdvl.jobs.pool import TaskError, open_pool
+from insdvl.jobs.store import Store
 from insdvl.simulation.noise import SCENARIOS
 from insdvl.simulation.trajectories import AUV
-from insdvl.studies.evaluation import plots, tables
+from insdvl.studies.evaluation import comparison, tables
 from insdvl.studies.evaluation.approaches import OWN_MODEL, PRESETS, ROWS, Setting, fingerprint
 from insdvl.studies.evaluation.comparison import Plan, compare
 from insdvl.studies.evaluation.options import check_names, check_numbers
+from insdvl.studies.report.plots import draw_errors_over_time
 from insdvl.tuner.models import load_model
 
 ERROR_STATES = ("invariant", "ned")
@@ -25,82 +27,86 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--scenario",
         default="varying",
         metavar="NAME",
-        help=f"the IMU's noise: {', '.join(SCENARIOS)} (default: varying)",
+        help=f"noise of the IMU: {', '.join(SCENARIOS)} (default: varying)",
     )
     parser.add_argument(
         "--preset",
         default="calibrated",
         metavar="NAME",
-        help="what the filters believe: calibrated (default), or paper, as published",
+        help=f"parameters of the filters: {', '.join(PRESETS)} (default: calibrated)",
     )
     parser.add_argument(
         "--error-state",
         default="",
         metavar="NAME",
-        help="invariant or ned (default: that of the preset)",
+        help=f"{' or '.join(ERROR_STATES)} (default: that of the preset)",
     )
-    parser.add_argument("--gate", action="store_true", help="with the chi-square gate of the DVL")
+    parser.add_argument("--gate", action="store_true", help="use the chi-square gate")
     parser.add_argument(
         "--rows",
         metavar="NAME,NAME",
-        help=f"which approaches, with commas between (default: all): {', '.join(ROWS)}",
+        help=f"approaches to compare, separated by commas (default: all): {', '.join(ROWS)}",
     )
     parser.add_argument(
         "--model",
         metavar="FILE",
-        help="one row more: a model of your own, with its card beside it",
+        help="also evaluate your own model (card next to the file)",
     )
     parser.add_argument(
-        "--runs", type=int, default=100, metavar="N", help="paired runs (default: 100)"
+        "--runs", type=int, default=100, metavar="N", help="number of paired runs (default: 100)"
     )
     parser.add_argument(
         "--tuning-runs",
         type=int,
         default=20,
         metavar="N",
-        help="runs, on other seeds, for what is searched: best constant, best adaptive (default: "
-        "20)",
+        help="number of runs, with other seeds, that choose the best constant and the best "
+        "adaptive filters (default: 20)",
     )
-    parser.add_argument("--seed", type=int, default=1, help="of all runs (default: 1)")
+    parser.add_argument("--seed", type=int, default=1, help="random seed (default: 1)")
     parser.add_argument(
         "--duration",
         type=float,
         metavar="S",
-        help=f"shorter missions, for a first look (default: {AUV.duration:g})",
+        help=f"length of the missions (default: {AUV.duration:g})",
+    )
+    parser.add_argument("--json", type=Path, required=True, metavar="FILE", help="JSON output file")
+    parser.add_argument(
+        "--markdown",
+        type=Path,
+        metavar="FILE",
+        help="Markdown output file of the tables",
     )
     parser.add_argument(
-        "--json", type=Path, required=True, metavar="FILE", help="where the numbers go"
+        "--plot",
+        type=Path,
+        metavar="FILE",
+        help="PNG output file of errors over time",
     )
-    parser.add_argument(
-        "--markdown", type=Path, metavar="FILE", help="where the tables go, which are printed too"
-    )
-    parser.add_argument(
-        "--plot", type=Path, metavar="FILE", help="PNG of the errors over time, of the first rows"
-    )
-    parallel.add_arguments(parser)
+    add_worker_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Evaluate; the exit code is 2 where the input is refused, and then nothing is written."""
+    """Evaluate; the exit code is 2 for invalid input, and then nothing is written."""
     try:
         plan = _plan(arguments)
         for option in ("json", "markdown", "plot"):
             file = getattr(arguments, option)
             if file is not None:
                 check_writable(file, f"--{option}")
-        workers = parallel.workers_of(arguments)
-        with parallel.pool(workers) as pool:
+        with open_pool(workers_from(arguments)) as pool:
             store = Store(
                 arguments.json.with_name(arguments.json.name + ".work"),
                 {"plan": asdict(plan), "models": fingerprint(plan.rows)},
+                Path(comparison.__file__),
             )
-            comparison = compare(plan, pool, store)
-        text = tables.comparison(comparison.document)
-        write(arguments.json, json_text(comparison.document).encode())
+            compared = compare(plan, pool, store)
+        text = tables.comparison_tables(compared.document)
+        write(arguments.json, json_text(compared.document).encode())
         if arguments.markdown is not None:
             write(arguments.markdown, text.encode())
         if arguments.plot is not None:
-            plots.errors_over_time(arguments.plot, plan.scenario, comparison.series)
+            draw_errors_over_time(arguments.plot, plan.scenario, compared.series)
         store.clear()
     except TaskError as error:
         print(f"insdvl evaluate: {error}", file=sys.stderr)

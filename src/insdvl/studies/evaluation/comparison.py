@@ -1,14 +1,15 @@
-"""The comparison of all approaches in one scenario: searches, paired runs, ratios, intervals."""
+"""Comparison of all approaches in one scenario: searches, paired runs, ratios, intervals."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from insdvl.arrays import Array
 from insdvl.files import finite
-from insdvl.jobs.parallel import Pool, Store
+from insdvl.jobs.pool import Pool
+from insdvl.jobs.store import Store
 from insdvl.studies.evaluation import statistics
 from insdvl.studies.evaluation.approaches import (
     BEST_CONSTANT,
@@ -29,12 +30,10 @@ from insdvl.studies.evaluation.approaches import (
 )
 from insdvl.studies.evaluation.monte_carlo import METRICS, Study, evaluate_run, numbered, tuning_run
 
-Array = NDArray[np.float64]
-
-#: A row that fails in more than this share of the runs is left out of the pairs: what it did in the
-#: runs that it survived says little, and it would take those runs from all others.
+#: A row that fails in more than this share of the runs is left out of the pairs: its other runs say
+#: little, and it would remove its failed runs from all other rows.
 MOST_FAILURES = 0.1
-MIN_RUNS = 2  # fewer have no interval
+MIN_RUNS = 2  # fewer runs give no interval
 _BOOTSTRAP = 2003  # key of the random stream
 RATIO_METRICS = ("body_rmse", "srmse")
 NEES = ("velocity", "attitude", "velocity_attitude", "bias", "position")
@@ -43,16 +42,16 @@ _SEARCHED = (BEST_CONSTANT, BEST_CONSTANT_SRMSE, BEST_XI, VARIATIONAL)
 
 @dataclass(frozen=True)
 class Plan:
-    """What is compared.
+    """One comparison.
 
     Attributes:
         scenario: Key of `monte_carlo.PROFILES`.
-        setting: What the filters believe.
+        setting: Setting of the filters.
         runs: Number of runs.
         tuning_runs: Number of runs of a search, on seeds of their own.
-        seed: Of all that is random.
+        seed: Random seed.
         rows: Names in `ROWS`.
-        duration: Of a mission [s]; None for all of the trajectory.
+        duration: Length of a mission [s]; None for the whole trajectory.
     """
 
     scenario: str
@@ -66,11 +65,11 @@ class Plan:
 
 @dataclass(frozen=True)
 class Comparison:
-    """What came out.
+    """Results of a comparison.
 
     Attributes:
-        document: JSON-able; the numbers of every row.
-        series: Of every row that a filter made: (R, K, 4), see `monte_carlo.SERIES`.
+        document: The numbers of all rows, as JSON.
+        series: (R, K, 4) of each row with a filter, see `monte_carlo.SERIES`.
     """
 
     document: dict[str, Any]
@@ -78,13 +77,13 @@ class Comparison:
 
 
 def compare(plan: Plan, pool: Pool, store: Store | None = None) -> Comparison:
-    """Settle the searches, fold all runs, and sum up."""
+    """Do the searches, fold all runs and summarise them."""
     omitted = unavailable(plan.rows)
     rows = [row for row in plan.rows if row not in omitted]
     study = Study(plan.scenario, plan.seed, plan.duration)
     approaches, searches = _approaches(rows, plan, study, pool, store)
 
-    results = pool.run(
+    results = pool.compute(
         evaluate_run,
         numbered(plan.runs),
         shared=(study, tuple(approaches)),
@@ -123,14 +122,14 @@ def _stream(seed: int) -> np.random.SeedSequence:
 def _approaches(
     rows: Sequence[str], plan: Plan, study: Study, pool: Pool, store: Store | None
 ) -> tuple[list[Approach], dict[str, Any]]:
-    """The approaches of the rows, and how those that are searched for were found."""
+    """The approaches of the rows, and the results of their searches."""
     found: dict[str, Approach] = {}
     searches: dict[str, Any] = {}
     setting = plan.setting
 
-    def tried(candidates: Sequence[Approach], stage: str) -> Array:
+    def mean_errors(candidates: Sequence[Approach], stage: str) -> Array:
         """Mean errors (A, 2) of the candidates: RMSE of the body velocity, SRMSE."""
-        results = pool.run(
+        results = pool.compute(
             tuning_run,
             numbered(plan.tuning_runs),
             shared=(study, tuple(candidates)),
@@ -139,7 +138,7 @@ def _approaches(
         )
         return np.mean([result["errors"] for result in results], axis=0)
 
-    def settle(row: str, candidates: Sequence[Approach], errors: Array, metric: int) -> Approach:
+    def choose(row: str, candidates: Sequence[Approach], errors: Array, metric: int) -> Approach:
         best = candidates[int(np.argmin(errors[:, metric]))]
         found[row] = replace(best, name=row)
         searches[row] = {
@@ -153,14 +152,14 @@ def _approaches(
 
     if any(row in _SEARCHED for row in rows):
         coarse = constants(setting)
-        coarse_errors = tried(coarse, "constants, coarse")
+        coarse_errors = mean_errors(coarse, "constants, coarse")
         for metric, row in enumerate((BEST_CONSTANT, BEST_CONSTANT_SRMSE)):
             around = coarse[int(np.argmin(coarse_errors[:, metric]))]
             fine = constants(setting, around)
-            settle(row, fine, tried(fine, f"{row}, fine"), metric)
+            choose(row, fine, mean_errors(fine, f"{row}, fine"), metric)
         for row, candidates in adaptives(setting, nominal(found[BEST_CONSTANT])).items():
             if row in rows:
-                settle(row, candidates, tried(candidates, row), 0)
+                choose(row, candidates, mean_errors(candidates, row), 0)
     needed = [row for row in rows if row not in FLOORS]
     if any(row in FLOORS for row in rows) and ORACLE not in needed:
         needed.append(ORACLE)
@@ -173,12 +172,12 @@ def _approaches(
 def summary(scores: Mapping[str, Array], rng: np.random.Generator) -> dict[str, Any]:
     """Means, medians, intervals and ratios of all rows.
 
-    Means and ratios are over the runs in which no row failed, those rows aside that fail in more
-    than a tenth of all runs; medians and failures are over all runs.
+    Means and ratios are over the runs in which no row failed, except for rows that fail in more
+    than a tenth of all runs, which are left out; medians and failures are over all runs.
 
     Args:
-        scores: (R, len(METRICS)) of each row.
-        rng: Of the bootstrap.
+        scores: (R, len(METRICS)) numbers of each row.
+        rng: Generator of the bootstrap.
     """
     failure = METRICS.index("failed")
     failures = {row: int(np.sum(values[:, failure])) for row, values in scores.items()}

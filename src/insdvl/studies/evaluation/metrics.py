@@ -1,7 +1,7 @@
-"""Errors of a navigation result against the truth, and the numbers that sum them up.
+"""Errors of a navigation result against the truth, and the numbers that summarise them.
 
-Arrays are over N stamps. The navigation frame is NED or ENU, the body frame FRD or FLU: nothing
-here depends on which, as long as result and truth are in the same one.
+Arrays are over N stamps. The navigation frame is NED or ENU, the body frame FRD or FLU; result and
+truth must be in the same frames.
 
 The error of an attitude is the rotation vector psi about navigation axes with
 C_true = exp([psi x]) C_hat, as in the filter.
@@ -10,12 +10,10 @@ C_true = exp([psi x]) C_hat, as in the filter.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from insdvl.arrays import Array
 from insdvl.kernels import kernel
 from insdvl.navigation.geometry.rotation import quaternions
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

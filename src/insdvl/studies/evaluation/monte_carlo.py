@@ -1,9 +1,9 @@
 """One run of the comparison: a mission, the same for all approaches, and the errors of each.
 
-A run has random streams of its own, made from the study's seed, the split and the number of the
-run: the mission's noise profile, noise and biases, and the initial error, which is drawn from the
-filter's P_0. Runs of the split `TUNING` settle what a search looks for; those of `TEST` are what is
-reported. Training draws from other streams.
+A run has its own random streams, made from the seed of the study, the split and the number of the
+run: for the noise profile, noise and biases of the mission, and for the initial error, which is
+drawn from the filter's P_0. Searches use runs of the split `TUNING`, reports those of `TEST`;
+training draws from other streams.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from insdvl.arrays import Array, Records, Stamps
 from insdvl.navigation.error_state import (
     ACCELEROMETER_BIAS,
     ATTITUDE,
@@ -24,6 +24,7 @@ from insdvl.navigation.error_state import (
 from insdvl.navigation.events import NS, Event, Initial, ProcessNoise
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters, InitialParameters
+from insdvl.simulation.initial_errors import drawn_initial
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import SCENARIOS, ProfileFactory, segments
 from insdvl.simulation.trajectories import AUV
@@ -41,23 +42,18 @@ from insdvl.timeline.output import FoldResult
 from insdvl.timeline.recorded import fold_arrays
 from insdvl.tuner.offline import Estimator, tuned
 
-Array = NDArray[np.float64]
-Records = NDArray[np.void]
-
 #: Splits: first keys of the random streams.
 TEST, TUNING = 2000, 2001
 _INITIAL = 2002
 
-#: Noise profiles: the scenarios, and two for the study of window and rate.
+#: Shortest and longest time between changes [s] of the profiles of the study of window and rate.
+CHANGES = MappingProxyType({"fast": (2.0, 6.0), "varying": (15.0, 45.0), "slow": (60.0, 180.0)})
+#: Noise profiles: the scenarios, and those of `CHANGES`.
 PROFILES: Mapping[str, ProfileFactory] = MappingProxyType(
-    {
-        **SCENARIOS,
-        "fast": segments(1e-3, 0.05, 2.0, 6.0),
-        "slow": segments(1e-3, 0.05, 60.0, 180.0),
-    }
+    {name: segments(1e-3, 0.05, *times) for name, times in CHANGES.items()} | dict(SCENARIOS)
 )
 
-#: What is kept of an approach in a run; nan where there is no such number.
+#: Numbers of an approach in a run; nan where one is undefined.
 METRICS = (
     "body_rmse",
     "srmse",
@@ -74,24 +70,24 @@ METRICS = (
     "innovation_autocorrelation",
     "failed",
 )
-#: Kept of every second: squared errors of the body velocity [(m/s)^2] and of the heading [deg^2],
-#: each with the variance that the filter expects.
+#: Numbers of each second: squared errors of the body velocity [(m/s)^2] and of the heading [deg^2],
+#: each with the variance in the filter's covariance.
 SERIES = ("body_velocity", "body_velocity_variance", "heading", "heading_variance")
 
-FAILURE_SPEED = 5.0  # m/s: a body velocity error above it for FAILURE_TIME is a failure
+FAILURE_SPEED = 5.0  # m/s; a larger body velocity error for FAILURE_TIME is a failure
 FAILURE_TIME = 10.0  # s
-RATE, MAX_GAP = 1.0, 0.1  # Hz, s: of the tuner, as by default
-_NEES_RATE = 4  # times a second, at and between the updates
+RATE, MAX_GAP = 1.0, 0.1  # Hz, s; defaults of the tuner
+_NEES_RATE = 4  # Hz; at and between the updates
 
 
 @dataclass(frozen=True)
 class Study:
-    """Missions of the AUV that are alike but for their random numbers.
+    """Missions of the AUV that differ in their random numbers only.
 
     Attributes:
         scenario: Key of `PROFILES`.
-        seed: Of all runs.
-        duration: Shorter than the trajectory [s]; None for all of it.
+        seed: Random seed of all runs.
+        duration: Length [s], at most that of the trajectory; None for the whole trajectory.
     """
 
     scenario: str
@@ -100,81 +96,68 @@ class Study:
 
 
 def numbered(runs: int) -> dict[str, int]:
-    """The numbers of so many runs, as tasks."""
+    """The numbers of the runs, as tasks of a pool."""
     return {f"{number}": number for number in range(runs)}
 
 
 def mission_of_run(study: Study, split: int, run: int) -> Mission:
-    """The mission that all approaches share in a run."""
+    """The mission of a run, the same for all approaches."""
     stream = np.random.SeedSequence(study.seed, spawn_key=(split, run))
     return simulate(AUV, PROFILES[study.scenario], seed=stream, duration=study.duration)
 
 
 def initial_of_run(mission: Mission, study: Study, split: int, run: int) -> Initial:
-    """What the filters start from: the truth and an error drawn from P_0."""
-    sigma = InitialParameters()
-    rng = np.random.default_rng(
-        np.random.SeedSequence(study.seed, spawn_key=(_INITIAL, split, run))
-    )
-    psi = rng.standard_normal(3) * sigma.attitude_std
-    truth = mission.initial
-    C_true = truth.C_n_b[0]
-    return Initial(
-        stamp_ns=mission.start_ns,
-        C_n_b=Rotation.from_rotvec(-psi).as_matrix() @ C_true,
-        p_n=truth.p_n[0] + sigma.position_std * rng.standard_normal(3),
-        v=C_true.T @ truth.v_n[0] + sigma.velocity_std * rng.standard_normal(3),
-        velocity_frame="body",
-    )
+    """Initial state of the filters in a run: the truth with an error drawn from P_0."""
+    stream = np.random.SeedSequence(study.seed, spawn_key=(_INITIAL, split, run))
+    rng = np.random.default_rng(stream)
+    return drawn_initial(mission.initial, InitialParameters(), rng, stamp_ns=mission.start_ns)
 
 
 class Run:
-    """A mission and what happens to every filter in it.
+    """One mission, which every approach navigates.
 
     Attributes:
-        mission: In NED and forward-right-down.
-        truth: At the stamps of the IMU.
+        mission: The mission, in NED and forward-right-down.
+        truth: The truth at the stamps of the IMU.
     """
 
     def __init__(self, study: Study, split: int, number: int) -> None:
         self.mission = mission_of_run(study, split, number)
         self.truth = track(self.mission.truth.C_n_b, self.mission.truth.v_n, self.mission.truth.p_n)
-        self._told: dict[str, tuple[NDArray[np.int64], Array]] = {}
+        self._received: dict[str, tuple[Stamps, Array]] = {}
         initial = initial_of_run(self.mission, study, split, number)
         pings = zip(self.mission.dvl_stamps_ns.tolist(), self.mission.v_d, strict=True)
         self._events: list[Event] = [initial, *(Dvl(stamp_ns, v_d) for stamp_ns, v_d in pings)]
 
     def fold(self, approach: Approach) -> FoldResult:
-        """The mission through a filter and whoever tells it its Q."""
-        if not approach.learner:
-            return self.fold_told(approach.parameters, np.empty(0, np.int64), np.empty((0, 6)))
-        if approach.learner not in self._told:
-            self._told[approach.learner] = self._variances(approach.learner)
-        return self.fold_told(approach.parameters, *self._told[approach.learner])
+        """The mission through the filter of an approach, with the Q that it receives."""
+        if not approach.q_source:
+            return self.fold_received(approach.parameters, np.empty(0, np.int64), np.empty((0, 6)))
+        if approach.q_source not in self._received:
+            self._received[approach.q_source] = self._variances(approach.q_source)
+        return self.fold_received(approach.parameters, *self._received[approach.q_source])
 
-    def fold_told(
-        self, parameters: FilterParameters, stamps_ns: NDArray[np.int64], variances: Array
+    def fold_received(
+        self, parameters: FilterParameters, stamps_ns: Stamps, variances: Array
     ) -> FoldResult:
-        """The mission through a filter that is told these variances (K, 6) from stamps (K,) on."""
+        """The mission through a filter that receives variances (K, 6) from stamps (K,) on."""
         m = self.mission
-        told: list[Event] = [
+        received: list[Event] = [
             ProcessNoise(stamp_ns, np.diag(q[:3]), np.diag(q[3:]))
             for stamp_ns, q in zip(stamps_ns.tolist(), variances, strict=True)
         ]
-        return fold_arrays(parameters, m.stamps_ns, m.f_b, m.w_ib_b, self._events + told)
+        return fold_arrays(parameters, m.stamps_ns, m.f_b, m.w_ib_b, self._events + received)
 
-    def learned(
-        self, estimate: Estimator, window: int, rate: float
-    ) -> tuple[NDArray[np.int64], Array]:
-        """What a tuner with this estimator tells: stamps (K,) and variances (K, 6)."""
+    def learned(self, estimate: Estimator, window: int, rate: float) -> tuple[Stamps, Array]:
+        """Output of a tuner with this estimator: stamps (K,) and variances (K, 6)."""
         m = self.mission
         samples = np.hstack([m.f_b, m.w_ib_b])
         return tuned(m.stamps_ns, samples, estimate, window, rate, round(MAX_GAP * NS))
 
-    def _variances(self, learner: str) -> tuple[NDArray[np.int64], Array]:
-        if learner == ORACLE:
+    def _variances(self, source: str) -> tuple[Stamps, Array]:
+        if source == ORACLE:
             return self.mission.process_noise()
-        return self.learned(*estimator(learner), RATE)
+        return self.learned(*estimator(source), RATE)
 
 
 def track(C_n_b: Array, v_n: Array, p_n: Array) -> Track:
@@ -190,14 +173,14 @@ def track_of(states: Records) -> Track:
 
 
 def perfect_heading(result: Track, truth: Track) -> Track:
-    """A result whose error about the vertical is taken out of attitude and velocity."""
+    """A result without its error about the vertical in attitude and NED velocity."""
     psi = attitude_error(result.C_n_b, truth.C_n_b)
     psi[:, :2] = 0.0
     return replace(result, C_n_b=Rotation.from_rotvec(psi).as_matrix() @ result.C_n_b)
 
 
 def failed(result: Track, truth: Track, rate: float) -> bool:
-    """Whether a result is not finite, or its body velocity was lost for `FAILURE_TIME`."""
+    """Whether a result is not finite, or its body velocity was off for `FAILURE_TIME`."""
     if not all(np.isfinite(a).all() for a in (result.C_n_b, result.v_b, result.p_n)):
         return True
     lost = np.linalg.norm(result.v_b - truth.v_b, axis=1) > FAILURE_SPEED
@@ -209,14 +192,14 @@ def assess(fold: FoldResult, run: Run) -> tuple[Array, Array]:
     """The metrics of a filter in a run, in the order of `METRICS`, and its series.
 
     Returns:
-        (len(METRICS),) and (K, len(SERIES)) with K seconds; nan throughout, but for ``failed``,
-        where the filter has failed.
+        (len(METRICS),) and (K, len(SERIES)) over K seconds; all are nan but ``failed`` where the
+        filter failed.
     """
     m, truth, s = run.mission, run.truth, fold.states
     rate = fold.filter.parameters.imu.rate
     step = round(rate) // _NEES_RATE
     at = slice(step - 1, None, step)
-    seconds = slice(_NEES_RATE - 1, None, _NEES_RATE)  # of what is taken at those
+    seconds = slice(_NEES_RATE - 1, None, _NEES_RATE)  # among those samples
     series = np.full((len(s[at][seconds]), len(SERIES)), np.nan)
     result = track_of(s)
     if failed(result, truth, rate):
@@ -300,7 +283,7 @@ def evaluate_run(shared: tuple[Study, Sequence[Approach]], number: int) -> dict[
     for approach in approaches:
         fold = run.fold(approach)
         assessed.append(assess(fold, run))
-        if approach.learner == ORACLE:
+        if approach.q_source == ORACLE:
             floors[1] = assess_track(perfect_heading(track_of(fold.states), truth), truth)
     return {
         "scores": np.array([values for values, _ in assessed]),

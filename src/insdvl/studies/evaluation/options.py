@@ -1,4 +1,4 @@
-"""Checks of the options that the commands of the evaluation share."""
+"""Checks of options that several commands share."""
 
 import argparse
 from collections.abc import Collection, Iterable
@@ -7,10 +7,10 @@ from insdvl.studies.evaluation.comparison import MIN_RUNS
 
 
 def check_numbers(arguments: argparse.Namespace) -> None:
-    """Refuse --runs and --tuning-runs without an interval, and a negative --seed.
+    """Check --runs, --tuning-runs and --seed.
 
     Raises:
-        ValueError: One is out of its range.
+        ValueError: One is out of range.
     """
     for option, value in ("--runs", arguments.runs), ("--tuning-runs", arguments.tuning_runs):
         if value is not None and value < MIN_RUNS:
@@ -20,10 +20,10 @@ def check_numbers(arguments: argparse.Namespace) -> None:
 
 
 def check_names(option: str, values: Iterable[str], known: Collection[str]) -> None:
-    """Refuse a name that is not known.
+    """Check that all names are known.
 
     Raises:
-        ValueError: The first of them, and those that are known.
+        ValueError: Names the first unknown value, and the known ones.
     """
     for value in values:
         if value not in known:

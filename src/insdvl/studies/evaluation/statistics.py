@@ -1,13 +1,14 @@
 """Paired comparison of approaches over Monte Carlo runs, with bootstrap intervals.
 
-All approaches see the same runs, so a run is drawn with all of its results: the bootstrap of a
-ratio keeps the pairs, and most of what differs between runs cancels in it.
+All approaches see the same runs, so the bootstrap draws a run with all of its results. A ratio
+keeps the pairs, and most of the difference between runs cancels.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from insdvl.arrays import Array
+
 Draws = NDArray[np.intp]
 
 RESAMPLES = 10_000
@@ -21,8 +22,8 @@ def resamples(groups: NDArray[np.int64], rng: np.random.Generator) -> Draws:
     """Weights (RESAMPLES, R): how often each run is in each resample.
 
     Args:
-        groups: (R,) number of the group that a run belongs to, from 0 on. Runs of one group are
-            not independent of each other (the seeds of one recording), so groups are drawn whole.
+        groups: (R,) number of the group of each run, from 0. Runs of one group depend on each
+            other (the seeds of one recording), so groups are drawn whole.
         rng: Generator of the draws.
     """
     n_groups = int(groups.max()) + 1

@@ -1,9 +1,10 @@
-"""Tables of the evaluation, as Markdown."""
+"""Tables of a comparison, as Markdown."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from insdvl.studies.evaluation.approaches import FIRST_CONSTANT, SECOND_CONSTANT, ZERO_VELOCITY
+from insdvl.studies.report.markdown import interval, number, table
 
 #: Or and Klein, Table II: SRMSE and SMAE [m/s].
 PUBLISHED = {
@@ -16,7 +17,7 @@ PUBLISHED = {
 }
 
 
-#: The ratios of a table: to what, and of which error.
+#: Reference and error of each ratio in a table.
 _RATIOS = (
     ("oracle", "body_rmse"),
     ("oracle", "srmse"),
@@ -29,37 +30,13 @@ _RATIOS = (
 _WORDS = {"body_rmse": "body velocity", "srmse": "SRMSE"}
 
 
-def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A Markdown table; the first column is text, the others are numbers."""
-    lines = [
-        "| " + " | ".join(head) + " |",
-        "|---|" + "--:|" * (len(head) - 1),
-        *("| " + " | ".join(row) + " |" for row in rows),
-    ]
-    return "\n".join(lines) + "\n"
+def comparison_tables(document: Mapping[str, Any]) -> str:
+    """The tables of a comparison: errors, ratios, consistency, notes."""
+    parts = [_errors(document), _ratios(document), _consistency(document), _notes(document)]
+    return "\n".join(parts)
 
 
-def number(value: float | None, digits: int = 4) -> str:
-    """A number for a table; a dash where there is none."""
-    if value is None:
-        return "–"
-    return f"{value:.{digits}f}" if abs(value) < 1000.0 else f"{value:.2e}"
-
-
-def interval(values: Sequence[float] | None, digits: int = 3) -> str:
-    """A middle and the ends of its interval."""
-    if values is None:
-        return "–"
-    middle, low, high = (number(value, digits) for value in values)
-    return f"{middle} [{low}, {high}]"
-
-
-def comparison(document: Mapping[str, Any]) -> str:
-    """The tables of a comparison: errors, ratios, consistency."""
-    return "\n".join([errors(document), ratios(document), consistency(document), notes(document)])
-
-
-def errors(document: Mapping[str, Any]) -> str:
+def _errors(document: Mapping[str, Any]) -> str:
     """Mean errors of each row with their 95 % intervals, and the published numbers."""
     metrics = ("body_rmse", "srmse", "smae", "heading_rmse_deg", "tilt_rmse_deg")
     head = [
@@ -78,7 +55,7 @@ def errors(document: Mapping[str, Any]) -> str:
         name = row["approach"]
         cells = [_with_ends(row, metric, 3 if "deg" in metric else 4) for metric in metrics]
         drift = _with_ends(row, "position_drift_percent", 1)
-        if name == ZERO_VELOCITY:  # says nothing of these
+        if name == ZERO_VELOCITY:  # it has none of these
             cells[3:], drift = ["–", "–"], "–"
         published = PUBLISHED.get(name)
         body.append(
@@ -106,7 +83,7 @@ def _settings(document: Mapping[str, Any], name: str) -> str:
     return f"{name} ({found['best']})" if found else name
 
 
-def ratios(document: Mapping[str, Any]) -> str:
+def _ratios(document: Mapping[str, Any]) -> str:
     """Paired ratios of the mean errors, with 95 % intervals."""
     there = {label for row in document["rows"] for label in row["ratio_to"]}
     columns = [(label, metric) for label, metric in _RATIOS if label in there]
@@ -118,7 +95,7 @@ def ratios(document: Mapping[str, Any]) -> str:
     return table(["approach", *(f"{_WORDS[m]} / {label}" for label, m in columns)], body)
 
 
-def consistency(document: Mapping[str, Any]) -> str:
+def _consistency(document: Mapping[str, Any]) -> str:
     """Time means of NEES per degree of freedom and of NIS (3 degrees of freedom)."""
     blocks = ("velocity", "attitude", "velocity_attitude", "bias", "position")
     head = [
@@ -140,13 +117,13 @@ def consistency(document: Mapping[str, Any]) -> str:
     return table(head, body)
 
 
-def notes(document: Mapping[str, Any]) -> str:
-    """What the numbers are over, and what is missing."""
+def _notes(document: Mapping[str, Any]) -> str:
+    """The runs behind the numbers, and the rows that are missing."""
     plan = document["plan"]
     lines = [
         f"Scenario {plan['scenario']}, preset {plan['setting']['preset']}, seed {plan['seed']}: "
         f"means over the {document['paired_runs']} of {document['runs']} runs in which no row "
-        "failed (rows that fail in more than a tenth of all runs aside)."
+        "failed, not counting rows that fail in more than a tenth of all runs."
     ]
     lines += [f"Left out: {row} ({reason})." for row, reason in document["omitted"].items()]
     return "\n".join(lines) + "\n"

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from insdvl.files import read_parts
-from insdvl.studies.evaluation.tables import number
 from insdvl.studies.faults.verdicts import (
     LATENCY_FACTOR,
     LATENCY_RISE,
@@ -21,6 +20,7 @@ from insdvl.studies.faults.verdicts import (
     verdicts,
     worst,
 )
+from insdvl.studies.report.markdown import number
 
 Documents = Mapping[str, Any]
 

@@ -1,1 +1,1 @@
-"""Pages that are made from the code."""
+"""Pages, tables and plots that are generated."""

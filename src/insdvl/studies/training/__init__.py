@@ -1,1 +1,1 @@
-"""How the shipped models are made: data set, ensemble, the `insdvl train` command."""
+"""How the shipped models are trained: data set, ensemble, network, the command `insdvl train`."""

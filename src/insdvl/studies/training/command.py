@@ -8,8 +8,9 @@ from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
-from insdvl.jobs import parallel
-from insdvl.jobs.parallel import Store, TaskError, Workers, WorkersError
+from insdvl.jobs.options import Workers, WorkersError, add_worker_options, workers_from
+from insdvl.jobs.pool import TaskError, open_pool
+from insdvl.jobs.store import Store
 from insdvl.studies.training import dataset
 from insdvl.tuner.models import write_model
 
@@ -18,13 +19,12 @@ MIN_WINDOW, MAX_WINDOW = 10, 2000
 
 @dataclass(frozen=True)
 class Preset:
-    """Where a model is trained.
+    """The module that trains a model.
 
     Attributes:
-        module: Has ``train(preset, window, seed, pool, store, say)``, and is imported only when it
-            is asked for.
-        packages: What that needs beside what insdvl always needs.
-        min_window: Fewest samples of a window.
+        module: Has ``train(preset, window, seed, pool, store, say)``; imported only when needed.
+        packages: Optional packages that it needs.
+        min_window: Smallest number of samples of a window.
     """
 
     module: str
@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--preset",
         default="default",
         choices=tuple(PRESETS),
-        help="which model; default: trees that work at any scale; paper: trees as published; "
+        help="model to train; default: trees for any scale; paper: trees as published; "
         "dnn-default, dnn: the same with a convolutional network",
     )
     parser.add_argument(
@@ -56,26 +56,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=dataset.WINDOW,
         metavar="N",
-        help="samples of a window; if not 200 the model is named PRESET-N (default: 200)",
+        help="samples of a window; other than 200, the model is named PRESET-N (default: 200)",
     )
     parser.add_argument(
-        "--seed", type=int, default=0, help="of data set, split and training (default: 0)"
+        "--seed",
+        type=int,
+        default=0,
+        help="random seed of data set, split and training (default: 0)",
     )
     parser.add_argument(
         "--out",
         type=Path,
         default=Path("models"),
         metavar="DIR",
-        help="folder of the model's file and card (default: ./models)",
+        help="output folder of model and card (default: ./models)",
     )
-    parallel.add_arguments(parser)
+    add_worker_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Train, and write the two files; the exit code is 2 where the input is refused.
+    """Train, and write model and card; the exit code is 2 for invalid input.
 
-    Finished parts are kept beside the files until these are written: training that was interrupted
-    goes on from there.
+    Finished parts are kept in the output folder until both files are written, so an interrupted
+    training resumes.
     """
     preset, window, out = arguments.preset, arguments.window, arguments.out
     name = preset if window == dataset.WINDOW else f"{preset}-{window}"
@@ -86,10 +89,11 @@ def run(arguments: argparse.Namespace) -> int:
         return 2
     module = import_module(PRESETS[preset].module)
     try:
-        with parallel.pool(workers) as pool:
+        with open_pool(workers) as pool:
             store = Store(
                 out / f".{name}.work",
                 {"preset": preset, "window": window, "seed": arguments.seed},
+                Path(str(module.__file__)),
             )
             data, card = module.train(preset, window, arguments.seed, pool, store, print)
             written = write_model(out, data, {"name": name, **card})
@@ -106,7 +110,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _checked(arguments: argparse.Namespace) -> Workers:
-    workers = parallel.workers_of(arguments)
+    workers = workers_from(arguments)
     if not 0 <= arguments.seed <= MAX_SEED:
         raise ValueError(f"--seed must be within 0 to {MAX_SEED}, got {arguments.seed}")
     preset = PRESETS[arguments.preset]
@@ -118,9 +122,9 @@ def _checked(arguments: argparse.Namespace) -> Workers:
     if missing:
         raise ValueError(
             f"--preset {arguments.preset} needs {', '.join(missing)}: "
-            "install the extra packages of insdvl[dnn] and insdvl[onnx]"
+            "install insdvl[dnn] and insdvl[onnx]"
         )
-    # Minutes of work come before the files: whether they can be written is tried first.
+    # Training takes minutes: check first that the files can be written.
     existing = arguments.out
     while not existing.exists():
         existing = existing.parent

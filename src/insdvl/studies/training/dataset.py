@@ -1,16 +1,16 @@
 """The published data set: windows of an IMU with known white noise, and their features.
 
-Four trajectories of 400 s at 100 Hz, each recorded with 15 noise variances, equal on all six
-channels and in the square of the channel's unit; 200 windows of 2 s in each channel: 72,000
-examples. The variances are 15 equally spaced values from 0.001 to 0.05: the text gives the range
-and the number, and equal spacing is the plain reading. The best possible estimator, which knows
-the grid, has an RMSE of 2.6e-3 there; with equal ratios in place of equal steps it would be 1.7e-3.
+Four trajectories of 400 s at 100 Hz, each recorded with 15 noise variances, which are equal on all
+six channels, in the square of the channel's unit; 200 windows of 2 s per channel: 72,000 examples.
+The variances are 15 equally spaced values from 0.001 to 0.05: the text gives the range and the
+number, and equal spacing is the plain reading. The best possible estimator, which knows the grid,
+has an RMSE of 2.6e-3; with equal ratios instead of equal steps it would be 1.7e-3.
 
-Windows of another length lie in the same recordings: shorter ones begin where those of 200 samples
-do, longer ones follow each other, as many as 400 s hold.
+Windows of another length lie in the same recordings: shorter ones start where those of 200 samples
+start, longer ones follow each other up to 400 s.
 
-Every recording has its own random stream, made from the seed, the trajectory and the variance, so
-that the data are the same on any number of workers.
+Every recording has its own random stream, made from seed, trajectory and variance, so the data do
+not depend on the number of workers.
 """
 
 from dataclasses import dataclass
@@ -18,35 +18,37 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl.jobs.parallel import Pool, Result, Store
+from insdvl.arrays import Array
+from insdvl.jobs.pool import Pool
+from insdvl.jobs.store import Store
+from insdvl.jobs.tasks import Result
 from insdvl.simulation.imu import ideal_imu, white_noise
 from insdvl.simulation.trajectories import BASELINE
 from insdvl.tuner.features.schemas import SCHEMAS
 from insdvl.tuner.windows import CHANNELS
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 RATE = 100  # Hz
 WINDOW = 200  # samples
-WINDOWS = 200  # of each channel of a recording
-SAMPLES = WINDOWS * WINDOW  # of each channel of a recording
+WINDOWS = 200  # per channel of a recording
+SAMPLES = WINDOWS * WINDOW  # per channel of a recording
 VARIANCES = np.linspace(0.001, 0.05, 15)
 TRAIN_FRACTION = 0.8
 
-#: Streams of a seed that belong to no recording; those have (trajectory, variance).
+#: Random streams that belong to no recording; those have (trajectory, variance).
 _SPLIT_STREAM = (1000,)
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """Which data set; its first windows only where n_windows is given.
+    """Settings of a data set.
 
     Attributes:
         schema: Name of the feature schema.
-        seed: Any non-negative integer.
+        seed: Random seed, not negative.
         window: Number of samples N of a window, at most SAMPLES.
-        n_windows: Windows of each channel of a recording, from its start, as far as 400 s go.
+        n_windows: Largest number of windows per channel of a recording, from its start.
     """
 
     schema: str
@@ -56,17 +58,17 @@ class Recipe:
 
     @property
     def name(self) -> str:
-        """Tells data sets apart that a study makes."""
+        """Name that is unique among the data sets of a study."""
         return f"{self.schema}-{self.window}"
 
     @property
     def stride(self) -> int:
-        """Samples from the beginning of a window to that of the next."""
+        """Samples from the start of a window to that of the next."""
         return max(self.window, WINDOW)
 
     @property
     def windows_per_channel(self) -> int:
-        """Windows of each channel of a recording."""
+        """Number of windows per channel of a recording."""
         return min(self.n_windows, SAMPLES // self.stride)
 
 
@@ -76,8 +78,8 @@ class DataSet:
 
     Attributes:
         X: (M, F) features.
-        scale: (M,) variances that the answers are relative to, see `Schema`.
-        q: (M,) variance per sample of the noise that was added.
+        scale: (M,) variances that the targets are relative to, see `Schema`.
+        q: (M,) variance per sample of the added noise.
         trajectory: (M,) index in BASELINE; recordings of two trajectories share no random numbers.
     """
 
@@ -88,10 +90,10 @@ class DataSet:
 
 
 def noisy_windows(recipe: Recipe, trajectory: int, variance: int) -> Array:
-    """Windows (6 * windows_per_channel, window) of one recording: ideal readings and white noise.
+    """Windows (6 * windows_per_channel, window) of a recording: ideal readings plus white noise.
 
     Args:
-        recipe: Of the data set.
+        recipe: Settings of the data set.
         trajectory: Index in BASELINE.
         variance: Index in VARIANCES.
     """
@@ -107,18 +109,18 @@ def noisy_windows(recipe: Recipe, trajectory: int, variance: int) -> Array:
     return np.ascontiguousarray(windows[:, : recipe.window])
 
 
-def build(recipe: Recipe, pool: Pool, store: Store | None = None) -> DataSet:
-    """The data set, the same wherever and by however many it is made.
+def build_data_set(recipe: Recipe, pool: Pool, store: Store | None = None) -> DataSet:
+    """The data set; it does not depend on the workers.
 
     Args:
-        recipe: Which.
+        recipe: Settings of the data set.
         pool: Computes the recordings.
-        store: Keeps them.
+        store: Keeps finished recordings.
     """
     recordings = {
         f"{name}-{j:02}": (i, j) for i, name in enumerate(BASELINE) for j in range(VARIANCES.size)
     }
-    parts = pool.run(
+    parts = pool.compute(
         _examples, recordings, shared=recipe, store=store, label=f"data set {recipe.name}"
     )
     size = CHANNELS * recipe.windows_per_channel
@@ -136,7 +138,7 @@ def _examples(recipe: Recipe, recording: tuple[int, int]) -> Result:
 
 
 def random_split(n: int, seed: int) -> tuple[Indices, Indices]:
-    """Training and test examples as published: 80 : 20 at random over all n."""
+    """Training and test examples as published: 80 : 20 at random over all n examples."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=_SPLIT_STREAM))
     order = rng.permutation(n)
     n_train = round(TRAIN_FRACTION * n)

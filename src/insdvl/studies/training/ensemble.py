@@ -1,4 +1,4 @@
-"""The ensemble of regression trees: fit with scikit-learn, turned into flat arrays, with its card.
+"""The ensemble of regression trees: fitted with scikit-learn, converted to flat arrays.
 
 30 bagged trees. "Minimum of 8 leaves" is read as a minimum leaf size of 8 in the preset `paper`.
 """
@@ -10,8 +10,11 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from insdvl.arrays import Array
 from insdvl.extras import extra
-from insdvl.jobs.parallel import Pool, Result, Store
+from insdvl.jobs.pool import Pool
+from insdvl.jobs.store import Store
+from insdvl.jobs.tasks import Result
 from insdvl.studies.training import dataset, procedure
 from insdvl.studies.training.dataset import Indices, Recipe
 from insdvl.studies.training.procedure import Method
@@ -23,22 +26,20 @@ with extra("train"):
     from sklearn.ensemble import BaggingRegressor, ExtraTreesRegressor, RandomForestRegressor
     from sklearn.tree import DecisionTreeRegressor
 
-Array = NDArray[np.float64]
-
 TREES = 30
 
-#: Fewest examples in a leaf of each preset, whose name is that of its feature schema, too.
+#: Smallest number of examples in a leaf by preset; a preset and its feature schema share the name.
 PRESETS = {"paper": 8, "default": 200}
 
 
 def fit(X: Array, y: Array, min_samples_leaf: int, seed: int) -> BaggingRegressor:
-    """The ensemble.
+    """Fit the ensemble.
 
     Args:
         X: (M, F) features.
-        y: (M,) answers.
-        min_samples_leaf: Fewest examples in a leaf.
-        seed: In [0, 2^32).
+        y: (M,) targets.
+        min_samples_leaf: Smallest number of examples in a leaf.
+        seed: Random seed in [0, 2^32).
     """
     ensemble = BaggingRegressor(
         DecisionTreeRegressor(min_samples_leaf=min_samples_leaf),
@@ -52,14 +53,14 @@ def fit(X: Array, y: Array, min_samples_leaf: int, seed: int) -> BaggingRegresso
 def to_forest(
     ensemble: BaggingRegressor | RandomForestRegressor | ExtraTreesRegressor,
 ) -> Forest:
-    """The trees of a fitted ensemble as flat arrays, with the same answers to the bit.
+    """The trees of a fitted ensemble as flat arrays; predictions are equal to the bit.
 
     Args:
         ensemble: A BaggingRegressor of DecisionTreeRegressors, a RandomForestRegressor or an
-            ExtraTreesRegressor, of one answer.
+            ExtraTreesRegressor, with one output.
 
     Raises:
-        ForestError: It is of something else than regression trees, or of several answers.
+        ForestError: It has other members than regression trees, or several outputs.
     """
     if not isinstance(ensemble, BaggingRegressor | RandomForestRegressor | ExtraTreesRegressor):
         raise ForestError(f"the ensemble must be a mean of trees, got {ensemble!r}")
@@ -70,14 +71,14 @@ def to_forest(
     n_nodes = 0
     for estimator, columns in zip(trees, subsets, strict=True):
         if not isinstance(estimator, DecisionTreeRegressor):
-            raise ForestError(f"the ensemble must be of regression trees, got {estimator!r}")
+            raise ForestError(f"the ensemble must consist of regression trees, got {estimator!r}")
         tree = estimator.tree_
         if tree.n_outputs != 1:
-            raise ForestError(f"the trees must have one answer, got {tree.n_outputs}")
+            raise ForestError(f"the trees must have one output, got {tree.n_outputs}")
         order = _preorder(tree.children_left, tree.children_right)
         leaf = tree.children_left[order] == LEAF
         feature = np.full(order.size, LEAF)
-        # A tree may see the columns in an order of its own.
+        # Each tree may have its own order of the columns.
         feature[~leaf] = np.asarray(columns)[tree.feature[order][~leaf]]
         features.append(feature)
         thresholds.append(_rounded_down(tree.threshold[order][~leaf]))
@@ -96,7 +97,7 @@ def to_forest(
 
 
 def _preorder(left: Indices, right: Indices) -> Indices:
-    """Nodes of a tree, each split before its left side, and that before its right side."""
+    """Nodes of a tree in preorder: a split, its left side, its right side."""
     order, waiting = [], [0]
     while waiting:
         node = waiting.pop()
@@ -107,7 +108,7 @@ def _preorder(left: Indices, right: Indices) -> Indices:
 
 
 def _rounded_down(threshold: Array) -> NDArray[np.float32]:
-    """The largest float32 that is at most the threshold: it splits float32 values the same way."""
+    """The largest float32 up to the threshold, which splits float32 values in the same way."""
     rounded = threshold.astype(np.float32)
     above = rounded.astype(np.float64) > threshold
     rounded[above] = np.nextafter(rounded[above], np.float32(-np.inf))
@@ -123,16 +124,19 @@ def train(
     say: Callable[[str], None],
     n_windows: int = dataset.WINDOWS,
 ) -> tuple[bytes, dict[str, Any]]:
-    """The file of a model, and its card without name and hash.
+    """Train a model.
 
     Args:
         preset: Key of PRESETS, and name of the feature schema.
         window: Number of samples of a window.
-        seed: In [0, 2^32); of the data set, of the split, and of the ensemble.
+        seed: Random seed in [0, 2^32) of the data set, the split and the ensemble.
         pool: Does the work; the result does not depend on it.
         store: Keeps finished parts.
-        say: Is told what is being done.
+        say: Called with messages of progress.
         n_windows: See `Recipe`.
+
+    Returns:
+        The file of the model, and its card without name and hash.
     """
     method = Method(
         kind="forest",
@@ -147,7 +151,7 @@ def train(
             "joblib": joblib.__version__,
         },
     )
-    fitted, card = procedure.train(
+    fitted, card = procedure.train_method(
         method, Recipe(preset, seed, window, n_windows), pool, store, say
     )
     return Forest(fitted).save(), card

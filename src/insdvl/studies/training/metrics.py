@@ -1,29 +1,28 @@
-"""The splits that every model is trained and tested on, and what its card says of its errors.
+"""The splits for training and test of every model, and the errors on its card.
 
-A model is trained on the random 80 % of the data set, as published. Beside the error on the other
-20 % stands the one without leakage: each trajectory once is left out of the training of a model of
-its own.
+A model is trained on a random 80 % of the data set, as published, and tested on the other 20 %. The
+error without leakage comes from four further models: each leaves one trajectory out of its training
+and is tested on it.
 """
 
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from insdvl.arrays import Array
 from insdvl.simulation.trajectories import BASELINE
 from insdvl.studies.training import dataset
 from insdvl.studies.training.dataset import DataSet, Indices, Recipe
 from insdvl.tuner.windows import CHANNELS
 
-Array = NDArray[np.float64]
 Splits = Mapping[str, tuple[Indices, Indices]]
 
-#: The split of the model that is kept; the others have the name of the trajectory that is unseen.
+#: The split of the model that is kept; the other splits have the name of the unseen trajectory.
 RANDOM = "random_split"
 TRAJECTORY = "trajectory_split"
 
-#: What a model answers, in the words of a card: whether relative, see `Schema`.
+#: Target of a model in the words of its card, by `Schema.relative`.
 TARGETS = {
     False: "variance per sample of a channel's white noise, in the square of its unit",
     True: "logarithm of that variance over the scale that the feature schema gives",
@@ -31,13 +30,13 @@ TARGETS = {
 
 
 def splits_of(data: DataSet, seed: int) -> Splits:
-    """Training and test examples of the published split, and of each without a trajectory."""
+    """Training and test examples of the published split, and of the four without a trajectory."""
     unseen = {name: dataset.trajectory_split(data, i) for i, name in enumerate(BASELINE)}
     return {RANDOM: dataset.random_split(data.q.size, seed), **unseen}
 
 
 def described(recipe: Recipe, data: DataSet) -> dict[str, Any]:
-    """The data set in the words of a card."""
+    """The data set as described on a card."""
     return {
         "trajectories": list(BASELINE),
         "rate_hz": dataset.RATE,
@@ -64,13 +63,13 @@ def metrics_of(
     predict: Callable[[str, Indices], Array],
     say: Callable[[str], None],
 ) -> dict[str, Any]:
-    """The errors of the models of all splits on what they have not seen, in the form of a card.
+    """Errors of the models of all splits on unseen examples, as on a card.
 
     Args:
         data: All examples.
         splits: See `splits_of`.
-        predict: Variances (K,) that the model of a split gives for examples (K,).
-        say: Is told.
+        predict: Variances (K,) from the model of a split for examples (K,).
+        say: Called with messages of progress.
     """
     measured: dict[str, dict[str, Any]] = {}
     for name, (training, test) in splits.items():

@@ -1,31 +1,31 @@
-"""The convolutional network: fit with torch, turned into an ONNX file, with its card.
+"""The convolutional network: fitted with torch, converted to an ONNX file.
 
 As published: three convolutions of 30 filters with kernel 3, each with ReLU and pooling, and a
-dense layer, on a window of one channel; one network serves all channels. The pooling takes the
-larger one of two neighbours.
+dense layer, on a window of one channel; one network serves all channels. The pooling keeps the
+larger of two neighbours.
 
-Where answers are absolute the dense layer is followed by a softplus, because a variance is
-positive; a plain dense layer is free to answer with a negative one where there is little noise.
+With absolute targets a softplus follows the dense layer, because a variance is positive; a plain
+dense layer may give a negative one where there is little noise.
 
-A raw window is hard to learn from: gravity and slow motion are hundreds of times the noise, and
-the noise is all that matters. The inputs are therefore standardised as the first convolution sees
-them, three samples at a time: it is trained in the principal axes of those triples over the
-training examples, each in units of its spread. That is a linear map of its weights, so it changes
-where the training goes and not what the network can be; the file holds the weights of the raw
-samples. Without it the error on an unseen trajectory was 3 to 30 times as large.
+Raw windows are hard to learn from: gravity and slow motion are hundreds of times larger than the
+noise. The inputs of the first convolution, three samples at a time, are therefore standardised: it
+is trained in the principal axes of those triples over the training examples, each in units of its
+spread. This is a linear map of its weights, so it changes the path of the training and not the set
+of possible networks; the file has the weights for raw samples. Without it the error on an unseen
+trajectory was 3 to 30 times larger.
 
-In each epoch a window has the one sign or the other, at random: axes may point either way, and with
-them gravity, and q is the same.
+In each epoch a window gets a random sign: axes, and with them gravity, may point either way, and q
+is the same.
 
-The pooling (beside it: the mean over time before the dense layer, in the place of all three), the
-largest learning rate and the number of epochs were chosen on a data set of another seed, half of
-its windows, by the error on a trajectory that was left out.
+The pooling (the alternative was one mean over time before the dense layer), the largest learning
+rate and the number of epochs were chosen on half of the windows of a data set with another seed, by
+the error on a trajectory that was left out.
 
-Numbers that are drawn, the first weights, the order of the examples and the signs, come from numpy:
-the same versions on the same kind of processor give the same bytes, on any number of workers.
+All random numbers (first weights, order of the examples, signs) come from numpy: the same versions
+on the same kind of processor give the same bytes, on any number of workers.
 
-torch, onnx (`insdvl[dnn]`) and onnxruntime (`insdvl[onnx]`) are imported when a network is trained,
-not before.
+torch, onnx (`insdvl[dnn]`) and onnxruntime (`insdvl[onnx]`) are imported only when a network is
+trained.
 """
 
 from collections.abc import Callable, Mapping
@@ -36,32 +36,33 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from insdvl.arrays import Array
 from insdvl.extras import extra
-from insdvl.jobs.parallel import Pool, Result, Store
+from insdvl.jobs.pool import Pool
+from insdvl.jobs.store import Store
+from insdvl.jobs.tasks import Result
 from insdvl.studies.training import dataset, procedure
 from insdvl.studies.training.dataset import Indices, Recipe
 from insdvl.studies.training.procedure import Method
 from insdvl.tuner.features.schemas import SCHEMAS
 from insdvl.tuner.network import Network
 
-Array = NDArray[np.float64]
-
 CONVOLUTIONS = 3
 FILTERS = 30
 KERNEL = 3  # samples
-POOL = 2  # samples, of which the largest remains
+POOL = 2  # samples; the largest is kept
 BATCH = 64  # examples
-LEARNING_RATE = 1e-2  # the largest: it rises over the first quarter of the steps, then falls
+LEARNING_RATE = 1e-2  # the maximum: it rises over the first quarter of the steps, then falls
 RISE = 0.25
 
 
 @dataclass(frozen=True)
 class Preset:
-    """A model.
+    """Settings of a model.
 
     Attributes:
         schema: Name of the feature schema.
-        epochs: Times that each example is seen.
+        epochs: Number of passes over the examples.
     """
 
     schema: str
@@ -71,26 +72,26 @@ class Preset:
 PRESETS = {"dnn": Preset("window", 8), "dnn-default": Preset("scaled_window", 2)}
 
 _LIBRARIES = ("numpy", "scipy", "torch", "onnx", "onnxruntime")
-_STREAM = (1001,)  # of the seed; not one of the data set's
+_STREAM = (1001,)  # random stream; not one of the data set
 _OPSET, _IR_VERSION = 17, 8  # of 2022: onnxruntime 1.14 and later read them
 
 
 def fit(
     X: Array, y: Array, absolute: bool, epochs: int, seed: int
 ) -> dict[str, NDArray[np.float32]]:
-    """The weights of the network for rows as they come, on one thread.
+    """Fit the network on one thread.
 
     Args:
         X: (M, N) windows.
-        y: (M,) answers.
-        absolute: Whether an answer is a variance, and so positive.
-        epochs: Times that each example is seen.
-        seed: In [0, 2^32).
+        y: (M,) targets.
+        absolute: Whether a target is a variance, and so positive.
+        epochs: Number of passes over the examples.
+        seed: Random seed in [0, 2^32).
 
     Returns:
-        Convolutions ``w1`` (30, 1, 3), ``b1`` (30,), ``w2`` (30, 30, 3), ``b2``, ``w3``, ``b3``,
-        dense layer ``w4`` (1, 30 n) for the n samples that are left, ``b4`` (1,); and, where
-        answers are absolute, ``gain`` (1,), which the softplus of the dense layer is multiplied by.
+        The weights for raw windows: convolutions ``w1`` (30, 1, 3), ``b1`` (30,), ``w2``
+        (30, 30, 3), ``b2``, ``w3``, ``b3``; dense layer ``w4`` (1, 30 n) for the n remaining
+        samples, ``b4`` (1,); with absolute targets also ``gain`` (1,), the factor of the softplus.
     """
     with extra("dnn"):
         import torch
@@ -103,7 +104,7 @@ def fit(
     shift, gain = (0.0, y.mean()) if absolute else (y.mean(), y.std())
 
     def layer(*shape: int) -> tuple[Any, Any]:
-        """Its first weights and biases, uniform within one over the root of its inputs' number."""
+        """First weights and biases, uniform within 1 / sqrt(number of inputs)."""
         bound = 1.0 / np.sqrt(np.prod(shape[1:]))
         weight = torch.tensor(rng.uniform(-bound, bound, shape).astype(np.float32))
         if weight.ndim == 4:
@@ -119,7 +120,7 @@ def fit(
     whitening = torch.tensor(axes.astype(np.float32))
 
     def answers(x: Any) -> Any:
-        """Of windows (B, 1, 1, N), in units of the gain."""
+        """Output for windows (B, 1, 1, N), in units of the gain."""
         kernels = (w1 @ whitening).view(FILTERS, 1, 1, KERNEL)
         for weight, bias in (kernels, b1), (w2, b2), (w3, b3):
             x = functional.relu(functional.conv2d(x, weight, bias))
@@ -163,21 +164,21 @@ def fit(
 
 
 def _pooled(n: int) -> int:
-    """Samples that are left of n after the convolutions and their pooling."""
+    """Number of samples after the convolutions and their pooling of n samples."""
     for _ in range(CONVOLUTIONS):
         n = (n - KERNEL + 1) // POOL
     return n
 
 
 def _principal_axes(X: Array) -> Array:
-    """The map (3, 3) of three samples in a row, of either sign, to axes of unit variance."""
+    """The map (3, 3) of three consecutive samples, of either sign, to axes of unit variance."""
     runs = np.lib.stride_tricks.sliding_window_view(X, KERNEL, axis=1).reshape(-1, KERNEL)
     variances, axes = np.linalg.eigh(runs.T @ runs / len(runs))
     return axes.T / np.sqrt(variances)[:, None]
 
 
 def to_onnx(weights: Mapping[str, NDArray[np.float32]], window: int) -> bytes:
-    """The network's file; equal weights give equal bytes.
+    """The file of the network; equal weights give equal bytes.
 
     Args:
         weights: See `fit`.
@@ -237,16 +238,19 @@ def train(
     say: Callable[[str], None],
     n_windows: int = dataset.WINDOWS,
 ) -> tuple[bytes, dict[str, Any]]:
-    """The file of a model, and its card without name and hash.
+    """Train a model.
 
     Args:
         preset: Key of PRESETS.
         window: Number of samples of a window, at least 22, of which the last pooling leaves one.
-        seed: In [0, 2^32); of the data set, of the split, and of the network.
+        seed: Random seed in [0, 2^32) of the data set, the split and the network.
         pool: Does the work; the result does not depend on it.
         store: Keeps finished parts.
-        say: Is told what is being done.
+        say: Called with messages of progress.
         n_windows: See `Recipe`.
+
+    Returns:
+        The file of the model, and its card without name and hash.
     """
     schema, epochs = PRESETS[preset].schema, PRESETS[preset].epochs
     method = Method(
@@ -268,7 +272,7 @@ def train(
         ),
         versions={package: version(package) for package in _LIBRARIES},
     )
-    weights, card = procedure.train(
+    weights, card = procedure.train_method(
         method, Recipe(schema, seed, window, n_windows), pool, store, say
     )
     return to_onnx(weights, window), card

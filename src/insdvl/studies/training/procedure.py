@@ -1,6 +1,6 @@
-"""How every model is trained: data set, splits, a fit of each, errors on what was unseen, card.
+"""The training of every model: data set, splits, a fit for each, errors on unseen data, card.
 
-What is special of a kind of model, and nothing else, is a `Method`.
+A `Method` has what differs between the kinds of models.
 """
 
 import platform
@@ -8,17 +8,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from insdvl.jobs.parallel import Function, Pool, Result, Store
+from insdvl.arrays import Array
+from insdvl.jobs.pool import Pool
+from insdvl.jobs.store import Store
+from insdvl.jobs.tasks import Function, Result
 from insdvl.studies.training import dataset
 from insdvl.studies.training.dataset import Indices, Recipe
 from insdvl.studies.training.metrics import RANDOM, TARGETS, described, metrics_of, splits_of
 from insdvl.tuner.features.schemas import SCHEMAS
 from insdvl.tuner.models import Regressor
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -26,13 +24,13 @@ class Method:
     """A kind of model.
 
     Attributes:
-        kind: In the words of a card.
-        fit: Trains on examples: ``fit((X, y, *settings), training)`` gives the model's arrays, with
-            X (M, F), y (M,) and the indices of the training examples.
-        settings: Of the fit.
-        regressor: The model of the arrays.
-        described_as: Key and value of the card that say how the model was made.
-        versions: Of the libraries that decide the result, for the card.
+        kind: Name of the kind in the card.
+        fit: ``fit((X, y, *settings), training)`` returns the arrays of a model, for examples X
+            (M, F), y (M,) and the indices of the training examples.
+        settings: Settings of the fit.
+        regressor: Makes the model from its arrays.
+        described_as: Key and value of the card that describe the model.
+        versions: Versions for the card of the libraries that the result depends on.
     """
 
     kind: str
@@ -43,24 +41,27 @@ class Method:
     versions: Mapping[str, str]
 
 
-def train(
+def train_method(
     method: Method, recipe: Recipe, pool: Pool, store: Store | None, say: Callable[[str], None]
 ) -> tuple[Result, dict[str, Any]]:
-    """The arrays of a model, and its card without name and hash.
+    """Train a model.
 
     Args:
         method: Kind of model.
-        recipe: Of the data set; its seed is also that of the split.
+        recipe: Settings of the data set; its seed is also that of the split.
         pool: Does the work; the result does not depend on it.
         store: Keeps finished parts.
-        say: Is told what is being done.
+        say: Called with messages of progress.
+
+    Returns:
+        The arrays of the model, and its card without name and hash.
     """
     schema = SCHEMAS[recipe.schema]
-    data = dataset.build(recipe, pool, store)
+    data = dataset.build_data_set(recipe, pool, store)
     say(f"data set: {data.q.size} examples of {data.X.shape[1]} numbers")
 
     splits = splits_of(data, recipe.seed)
-    fits = pool.run(
+    fits = pool.compute(
         method.fit,
         {split: training for split, (training, _) in splits.items()},
         shared=(data.X, schema.encode(data.q, data.scale), *method.settings),

@@ -1,1 +1,1 @@
-"""What a window of samples is described by, and the closed forms of its variance."""
+"""Features of a window of samples, and closed-form estimators of its variance."""

@@ -1,23 +1,20 @@
-"""What is left of a window when its least-squares polynomial is taken away.
+"""Residual of a window around its least-squares polynomial.
 
-The vehicle's motion is smooth over a window and a polynomial follows it; white noise of variance q
-leaves residuals whose sum of squares is q times a chi-square variable of N - degree - 1 degrees of
-freedom.
+The motion of the vehicle is smooth over a window, and the polynomial follows it. The sum of squares
+of the residual of white noise is q times a chi-square variable with N - degree - 1 degrees of
+freedom, with q the variance of the noise.
 """
 
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from insdvl.arrays import Array
 from insdvl.kernels import kernel
 
-Array = NDArray[np.float64]
-
-#: A std of at most this part of the window's largest |x| is rounding, about 50 times that of one
-#: sample.
+#: A std up to this fraction of the window's largest |x| is rounding: 50 times that of one sample.
 ROUNDING = 1e-14
-#: A smaller std counts as zero, and larger values are refused: fourth powers stay in range.
+#: A smaller std counts as zero, and larger values are rejected: fourth powers stay in range.
 TINY, HUGE = 1e-70, 1e70
 
 
@@ -25,14 +22,14 @@ TINY, HUGE = 1e-70, 1e70
 def polynomials(n: int, degree: int) -> Array:
     """Orthonormal polynomials (degree, n) of degrees 1 to `degree` on n equally spaced samples.
 
-    Each is orthogonal to a constant, too. They come from the three-term recurrence of the discrete
-    Legendre polynomials, in which the middle term is zero for samples that lie symmetrically.
+    Each is also orthogonal to a constant. They come from the three-term recurrence of the discrete
+    Legendre polynomials, whose middle term is zero for symmetric samples.
     """
     t = np.linspace(-1.0, 1.0, n)
     rows = [np.full(n, 1.0 / np.sqrt(n))]
     for _ in range(degree):
         p = t * rows[-1]
-        for _ in range(2):  # once more, against the rounding of the first time
+        for _ in range(2):  # the second pass removes the rounding of the first
             for row in rows:
                 p -= np.sum(p * row) * row
         rows.append(p / np.sqrt(np.sum(p * p)))
@@ -46,10 +43,10 @@ def residual_variances(windows: Array, degree: int) -> Array:
 
     Args:
         windows: (M, N), N > degree + 1.
-        degree: Of the polynomial.
+        degree: Degree of the polynomial.
 
     Returns:
-        (M,); 0 where the residual is no more than the rounding of the samples.
+        (M,); 0 where the residual is at the rounding of the samples.
 
     Raises:
         ValueError: `windows` has another shape, or a value is not within 1e70 of zero.
@@ -82,9 +79,9 @@ def residual(x: Array, basis: Array, out: Array) -> float:
     """Residual of a window ``x`` (N,) around its polynomial, into ``out`` (N,).
 
     Args:
-        x: Finite.
+        x: Samples, finite.
         basis: (degree, N), see `polynomials`.
-        out: The residual; zero throughout where it is no more than the rounding of the samples.
+        out: The residual; all zeros where it is at the rounding of the samples.
 
     Returns:
         Its sum of squares.
@@ -100,7 +97,7 @@ def residual(x: Array, basis: Array, out: Array) -> float:
     for i in range(N):
         out[i] = x[i] - mean
         total += out[i]
-    mean = total / N  # what the rounding of the sum of large numbers has left
+    mean = total / N  # the rounding error of the first sum, which is of large numbers
     for i in range(N):
         out[i] -= mean
     for k in range(basis.shape[0]):

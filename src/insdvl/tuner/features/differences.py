@@ -1,24 +1,22 @@
-"""White noise told from fast motion: the variance of differences of a high order.
+"""Variance of differences of a high order, which separates white noise from fast motion.
 
-The k-th difference of white noise of variance q has the variance C(2k, k) q. Of motion it keeps
-little that is slower than the sampling: a sinusoid of angular frequency w per sample is multiplied
-by (2 sin(w / 2))^k, so that its part in the estimate falls with the k-th power of the frequency
-squared. A vehicle's turning and much of its vibration, which no polynomial follows over a whole
-window and `closed_form.degree_5` takes for noise, are left out; sensor noise is not. What it costs
-is precision: the differences are correlated with each other.
+The k-th difference of white noise of variance q has the variance C(2k, k) q. It suppresses motion
+that is slow compared with the sampling: a sinusoid of angular frequency w per sample is multiplied
+by (2 sin(w / 2))^k, so its share of the estimate falls with the k-th power of the squared
+frequency. Turns of a vehicle and much of its vibration, which no polynomial follows over a whole
+window and `closed_form.degree_5` takes for noise, are suppressed; sensor noise is not. The price is
+precision: the differences are correlated with each other.
 """
 
 from math import comb
 
 import numpy as np
-from numpy.typing import NDArray
 
+from insdvl.arrays import Array
 from insdvl.tuner.features.detrend import checked
 from insdvl.tuner.offline import Estimator
 
-Array = NDArray[np.float64]
-
-#: Of its relative error in white noise, how far the bound lies above the differences' variance.
+#: Margin of the bound above the variance of differences, in relative errors of white noise.
 SIGMAS = 3.0
 
 
@@ -35,8 +33,8 @@ def difference_variances(windows: Array, order: int) -> Array:
 def relative_error(n: int, order: int) -> float:
     """Relative standard deviation of `difference_variances` of Gaussian white noise.
 
-    The variance of a mean of M correlated squares is 2 / M sum_j (1 - |j| / M) rho_j^2 of their
-    squared mean, and differences of order k at a distance j have the correlation
+    The relative variance of a mean of M correlated squares is 2 / M sum_j (1 - |j| / M) rho_j^2;
+    differences of order k at a distance j have the correlation
     rho_j = (-1)^j C(2k, k + j) / C(2k, k).
 
     Args:
@@ -52,14 +50,14 @@ def relative_error(n: int, order: int) -> float:
 
 
 def bounded(estimate: Estimator, order: int) -> Estimator:
-    """An estimator that never says more than the differences of an order allow.
+    """An estimator with the upper bound that differences of an order give.
 
-    The bound lies `SIGMAS` relative errors above their variance: in white noise it hardly ever
-    acts, and in motion it takes over.
+    The bound is `SIGMAS` relative errors above their variance: it rarely acts in white noise, and
+    takes over in motion.
 
     Args:
         estimate: The estimator.
-        order: Of the differences; 0 for no bound.
+        order: Order of the differences; 0 means no bound.
     """
     if order == 0:
         return estimate

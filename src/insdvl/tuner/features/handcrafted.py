@@ -1,4 +1,4 @@
-"""Features of a window of one IMU channel, from which its noise variance is learned.
+"""The 24 published features of a window of one IMU channel.
 
 Three transformations of the window, eight statistics of each:
 
@@ -10,34 +10,31 @@ and min, max, median, std, mean, kurtosis, skewness and second-largest value. st
 denominator, here and in the z-score. Skewness is m3 / m2^(3/2) and kurtosis m4 / m2^2 (Pearson:
 3 for a Gaussian), with m_k the mean of the k-th power of the deviations.
 
-Three features are constant by construction and are returned as exactly that: the mean of the
-residual (0), the mean (0) and the std (1) of the z-score. Their rounding noise says nothing, and
-a tree must not split on it.
+Three features are constant by construction and have exactly that value: the mean of the residual
+(0), and the mean (0) and the std (1) of the z-score. Their rounding noise has no information, and a
+tree must not split on it.
 
-A transformed window whose std is at most 1e-14 of the window's largest |x| is rounding noise: it
-counts as constant. Then its std, skewness and kurtosis are 0; the z-scores of a constant window
-are 0 throughout, and so is the residual of a straight line. A std below 1e-70 counts as constant
-too, and values beyond 1e70 are refused: fourth powers stay in the range of a double. So every
-window that is accepted has defined, finite features.
+A transformed window counts as constant where its std is at most 1e-14 of the window's largest |x|,
+which is rounding noise, or below 1e-70. Its std, skewness and kurtosis are then 0, and so are all
+z-scores of a constant window and the residual of a straight line. Values beyond 1e70 are rejected:
+fourth powers stay in the range of a double. So every accepted window has finite features.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from insdvl.arrays import Array
 from insdvl.kernels import kernel
 from insdvl.tuner.features.detrend import HUGE, ROUNDING, TINY
-
-Array = NDArray[np.float64]
 
 TRANSFORMATIONS = ("detrend", "zscore", "absolute")
 STATISTICS = ("min", "max", "median", "std", "mean", "kurtosis", "skewness", "second_largest")
 FEATURE_NAMES = tuple(f"{t}_{s}" for t in TRANSFORMATIONS for s in STATISTICS)
 
-#: A window has at least this many samples: with fewer every line fits.
+#: Smallest number of samples of a window; with fewer every line fits.
 MIN_SAMPLES = 3
 
 _FEW = 8  # samples that are sorted
-_HALVINGS = 60  # of an interval: the rounding of a double is then reached, short of outliers
+_HALVINGS = 60  # of an interval: enough to reach the rounding of a double without outliers
 
 
 def features(windows: Array) -> Array:
@@ -66,7 +63,7 @@ def features(windows: Array) -> Array:
 
 @kernel
 def _count(x: Array, limit: float) -> int:
-    """How many of ``x`` are at most ``limit``."""
+    """Number of elements of ``x`` up to ``limit``."""
     n = 0
     for i in range(x.size):
         n += x[i] <= limit
@@ -75,11 +72,11 @@ def _count(x: Array, limit: float) -> int:
 
 @kernel
 def median(x: Array, smallest: float, largest: float, few: Array) -> float:
-    """Median of ``x`` (N,), whose extremes are known.
+    """Median of ``x`` (N,) with known extremes.
 
     Halves the interval until it holds a few samples, and sorts those. Counting and gathering have
-    no branches to mispredict, which is what a sort of all samples would spend its time on. Equal
-    samples cannot be separated, hence the bound on the halvings. ``few`` (N,) is scratch.
+    no branches to mispredict, which would dominate the time of a full sort. Equal samples cannot be
+    separated, hence the limit on the halvings. ``few`` (N,) is scratch.
     """
     N = x.size
     lower, upper = (N - 1) // 2, N // 2  # ranks of the middle, equal where N is odd
@@ -95,7 +92,7 @@ def median(x: Array, smallest: float, largest: float, few: Array) -> float:
         else:
             high, inside = middle, n - below
     if below == 0:
-        low = -np.inf  # the smallest sample is inside, too
+        low = -np.inf  # the smallest sample is inside as well
     n = 0
     for i in range(N):
         few[n] = x[i]
@@ -120,7 +117,7 @@ def _features(windows: Array, out: Array) -> int:
     """`features` of ``windows`` (M, N) into ``out`` (M, 24).
 
     Returns:
-        The first window with a value that is refused, where it ends; -1 where there is none.
+        The first window with a rejected value, at which the computation stops; else -1.
     """
     M, N = windows.shape
     middle = 0.5 * (N - 1)
@@ -151,8 +148,8 @@ def _features(windows: Array, out: Array) -> int:
         x_mean = sum_x / N
         a_mean = sum_a / N
 
-        # The means above carry the rounding of sums of large numbers; the deviations from them are
-        # small, so that their own means correct it.
+        # The means above have the rounding of sums of large numbers; the deviations from them are
+        # small, and their means correct it.
         sum_d = 0.0
         sum_td = 0.0
         sum_b = 0.0

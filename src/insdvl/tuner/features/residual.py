@@ -1,43 +1,41 @@
-"""Features of a window that depend neither on its unit nor on the vehicle's smooth motion.
+"""Features of a window that depend neither on its unit nor on smooth motion of the vehicle.
 
-They are those of the residual r around the least-squares polynomial of degree 5, whose variance
-s^2 = r'r / (N - 6) is the scale that the answer log(q / s^2) is relative to:
+They describe the residual r around the least-squares polynomial of degree 5, whose variance
+s^2 = r'r / (N - 6) is the scale of the target log(q / s^2):
 
-* of r / std and of |r| / std, with std^2 = r'r / (N - 1), the statistics of `features`, without the
-  mean and the std of the first, which are 0 and 1;
-* the logarithms of the variances that the first to third differences of r suggest, over s^2.
+* the statistics of `handcrafted.features` for r / std and |r| / std, with std^2 = r'r / (N - 1),
+  without mean and std of the first, which are 0 and 1;
+* the logarithms of the variances from first to third differences of r, divided by s^2.
 
-So a window and the window times any factor have the same features, and factors that are powers of
-two give the same bits; a constant that is added to the window, gravity say, changes nothing beyond
-the rounding of the samples. A window that is a polynomial of degree 5 to within the rounding of its
-samples, a constant one above all, has no noise: its features and its scale are 0, and with them q.
+So a window times any factor has the same features, and the same bits where the factor is a power of
+two. A constant offset such as gravity changes nothing beyond the rounding of the samples. A window
+that is a polynomial of degree 5 to within rounding, such as a constant one, has no noise: its
+features and its scale are 0, and so is q.
 
-Why the residual, and not the window itself: the training set knows one range of variances, and in
-windows with another a feature that sees the motion lies elsewhere than in training, though the
-noise is the same. Cross-validation over the training trajectories, each unseen once (12 trees, at
-least 200 examples to a leaf, half of the data set), gave these relative RMSE for variances in
+The residual is better than the window itself: training covers one range of variances, and for
+another range a feature that depends on the motion leaves its range of the training, although the
+noise looks the same. Cross-validation over the training trajectories, each unseen once (12 trees,
+at least 200 examples per leaf, half of the data set), gave these relative RMSE for variances in
 [0.001, 0.05], 1000 times smaller, and 10 times larger:
 
 * these features: 10.3, 10.3, 10.4 %, with a bias of 0.6 to 0.7 %;
-* the 24 features of the window over its own spread, its linear variance and the differences of the
-  window: 10.3, 10.8, 10.3 %, with a bias of 2.4 % where the variances are smaller;
-* the same, but the answer relative to the variance around a straight line: 10.2, 72, 10.3 %. There
-  motion governs the scale, and no tree can tell how much of it beyond what it has seen;
+* the 24 features of the window divided by its spread, its linear variance and the differences of
+  the window: 10.3, 10.8, 10.3 %, with a bias of 2.4 % for the smaller variances;
+* the same with a target relative to the variance around a straight line: 10.2, 72, 10.3 %. Motion
+  then dominates the scale, and trees do not extrapolate;
 * s^2 itself: 10.2, 10.2, 10.3 %.
 
-With at least 8, 50, 200 and 1000 examples to a leaf it is 10.6, 10.4, 10.3 and 10.3 % within the
-range. The least that is possible for an unbiased estimator is 10.2 %.
+With at least 8, 50, 200 and 1000 examples per leaf it is 10.6, 10.4, 10.3 and 10.3 % within the
+range. The limit of unbiased estimators is 10.2 %.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from insdvl.arrays import Array
 from insdvl.kernels import kernel
 from insdvl.tuner.features.closed_form import DEGREE
 from insdvl.tuner.features.detrend import ROUNDING, checked, polynomials, residual
 from insdvl.tuner.features.handcrafted import median
-
-Array = NDArray[np.float64]
 
 RESIDUAL_FEATURE_NAMES = (
     *(f"residual_{s}" for s in ("min", "max", "median", "kurtosis", "skewness", "second_largest")),
@@ -54,10 +52,10 @@ RESIDUAL_FEATURE_NAMES = (
     "log_third_differences",
 )
 
-#: A window has at least this many samples: two more than its polynomial could pass through.
+#: Smallest number of samples of a window: two more than the polynomial could pass through.
 MIN_RESIDUAL_SAMPLES = DEGREE + 3
 
-_SMALLEST_RATIO = 1e-30  # of variances: a logarithm is defined where differences round to zero
+_SMALLEST_RATIO = 1e-30  # of variances, so that the logarithm of zero differences is defined
 
 
 def residual_features(windows: Array) -> tuple[Array, Array]:
@@ -81,7 +79,7 @@ def residual_features(windows: Array) -> tuple[Array, Array]:
 
 @kernel
 def _mean_square_differences(d: Array, n: int) -> float:
-    """Replace ``d`` [:n] by its differences, and give their mean square."""
+    """Replace ``d`` [:n] by its differences, and return their mean square."""
     squares = 0.0
     for i in range(n - 1):
         d[i] = d[i + 1] - d[i]

@@ -1,9 +1,8 @@
-"""What a model is given of a window, and what its answer means: the feature schemas.
+"""Feature schemas: the inputs of a model, and the meaning of its output.
 
-A schema turns windows into rows of features and, for each window, the variance that the answer is
-relative to. A model that answers in absolute terms gives q itself; one that is relative gives
-log(q / scale), so that an IMU with all its readings multiplied by c has its variance multiplied by
-c^2, whatever c is.
+A schema maps windows to rows of features and to scales. The output of an absolute model is q
+itself; that of a relative model is log(q / scale), so q is multiplied by c^2 when all readings are
+multiplied by any c.
 """
 
 from collections.abc import Callable, Mapping
@@ -11,8 +10,8 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
+from insdvl.arrays import Array
 from insdvl.kernels import kernel
 from insdvl.tuner.features.closed_form import DEGREE
 from insdvl.tuner.features.detrend import checked, polynomials, residual
@@ -23,19 +22,17 @@ from insdvl.tuner.features.residual import (
     residual_features,
 )
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class Schema:
-    """What a model is given, and how its answer is read.
+    """Inputs of a model, and the meaning of its output.
 
     Attributes:
         names: Names of the F features, in order; empty where they are the window's N samples.
-        extract: (M, N) windows to (M, F) features and (M,) scales, the variances in the square of
-            the window's unit that the answers are relative to; ones where they are absolute.
-        relative: Whether the answer is log(q / scale); otherwise it is q.
-        min_samples: Fewest samples of a window.
+        extract: Maps windows (M, N) to features (M, F) and scales (M,), which are variances in the
+            square of the window's unit, or ones where the output is absolute.
+        relative: Whether the output is log(q / scale); otherwise it is q.
+        min_samples: Smallest number of samples of a window.
     """
 
     names: tuple[str, ...]
@@ -44,19 +41,19 @@ class Schema:
     min_samples: int
 
     def width(self, window: int) -> int:
-        """Number F of features of a window of this many samples."""
+        """Number F of features of a window with this many samples."""
         return len(self.names) or window
 
     def encode(self, q: Array, scale: Array) -> Array:
-        """Answers (M,) that mean the variances q (M,) > 0 in windows of these scales (M,) > 0."""
+        """Targets (M,) for variances q (M,) > 0 in windows of scales (M,) > 0."""
         return np.log(q / scale) if self.relative else q
 
-    def decode(self, answers: Array, scale: Array) -> Array:
-        """Variances q (M,) that the answers (M,) mean in windows of these scales (M,).
+    def decode(self, outputs: Array, scale: Array) -> Array:
+        """Variances q (M,) from outputs (M,) for windows of scales (M,).
 
-        Where answers are relative, a window of scale 0, which has no noise, has q = 0.
+        With relative outputs, a window of scale 0, which has no noise, has q = 0.
         """
-        return scale * np.exp(answers) if self.relative else answers
+        return scale * np.exp(outputs) if self.relative else outputs
 
 
 def _paper(windows: Array) -> tuple[Array, Array]:
@@ -68,9 +65,9 @@ def _window(windows: Array) -> tuple[Array, Array]:
 
 
 def _scaled_window(windows: Array) -> tuple[Array, Array]:
-    """Residuals around a polynomial in units of their spread; 0 where there are none.
+    """Residuals around a polynomial of degree 5, divided by their spread; 0 for zero residuals.
 
-    Of degree 5, which follows the motion down to much smaller noise than a straight line does.
+    The polynomial follows the motion at much smaller noise than a straight line does.
     """
     windows = checked(windows, DEGREE + 2)
     out = np.empty_like(windows)
@@ -89,7 +86,7 @@ def _scaled_residuals(windows: Array, basis: Array, out: Array, scale: Array) ->
             out[m] /= np.sqrt(scale[m])
 
 
-#: Feature schemas by the name that a model's card gives.
+#: Feature schemas by their names on cards.
 SCHEMAS: Mapping[str, Schema] = MappingProxyType(
     {
         "default": Schema(

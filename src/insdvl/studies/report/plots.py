@@ -1,13 +1,13 @@
-"""Pictures of a navigation result, written as PNG without a display."""
+"""Plots of navigation results, written as PNG files without a display."""
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from insdvl.arrays import Array
 from insdvl.extras import extra
 from insdvl.files import write
 from insdvl.studies.evaluation.metrics import Track
@@ -18,8 +18,6 @@ with extra("plot"):
     from matplotlib.figure import Figure
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-Array = NDArray[np.float64]
-
 # Colours that colour-blind readers tell apart (Okabe and Ito).
 _TRUTH = "#222222"
 _COLOURS = ("#d55e00", "#0072b2", "#009e73", "#cc79a7")
@@ -28,11 +26,11 @@ _MOST_POINTS = 4000
 
 @dataclass(frozen=True)
 class Result:
-    """A filter's result at the same N stamps as the truth, in ENU and FLU.
+    """Result of a filter at the N stamps of the truth, in ENU and FLU.
 
     Attributes:
         label: Name of the filter.
-        track: (N,) its states.
+        track: (N,) states.
         velocity_sigma: (N, 3) sigma of the body velocity [m/s].
     """
 
@@ -43,10 +41,10 @@ class Result:
 
 @dataclass(frozen=True)
 class Noise:
-    """Variances that hold from each stamp on, true or learned.
+    """Variances that apply from each stamp on, true or learned.
 
     Attributes:
-        label: What they are.
+        label: Name of the variances.
         t: (K,) [s].
         variances: (K, 6) of f_b [(m/s^2)^2], then w_ib_b [(rad/s)^2].
     """
@@ -56,14 +54,14 @@ class Noise:
     variances: Array
 
 
-def mission(
+def draw_mission(
     path: Path, title: str, t: Array, truth: Track, results: list[Result], noises: list[Noise]
 ) -> None:
-    """Draw the track, the body velocity errors with 3 sigma and the process noise.
+    """Draw the track, the body velocity errors with 3 sigma, and the process noise.
 
     Args:
         path: The PNG file.
-        title: First line of the picture.
+        title: Title of the plot.
         t: (N,) time from the start [s].
         truth: (N,) the truth.
         results: Up to four filters.
@@ -169,15 +167,15 @@ def _draw_noise(axes: Axes, noises: list[Noise], channels: slice, label: str) ->
     axes.set_ylabel(label)
 
 
-def errors_over_time(path: Path, title: str, series: Mapping[str, Array]) -> None:
-    """Draw the errors of body velocity and heading over time, and what the filters expected.
+def draw_errors_over_time(path: Path, title: str, series: Mapping[str, Array]) -> None:
+    """Draw the errors of body velocity and heading over time, and those that the filters expect.
 
     Args:
         path: The PNG file.
-        title: First line of the picture.
-        series: (R, K, 4) of the rows, of which the first four are drawn: over R runs and K seconds
-            the squared error and the expected variance of the body velocity [(m/s)^2], then of the
-            heading [deg^2].
+        title: Title of the plot.
+        series: (R, K, 4) of each row, over R runs and K seconds: squared error and expected
+            variance of the body velocity [(m/s)^2], then of the heading [deg^2]. The first four
+            rows are drawn.
     """
     figure = Figure(figsize=(11, 6.5), layout="constrained")
     FigureCanvasAgg(figure)
@@ -201,34 +199,4 @@ def errors_over_time(path: Path, title: str, series: Mapping[str, Array]) -> Non
         axes.grid(True, linewidth=0.4, alpha=0.6)
         for side in ("top", "right"):
             axes.spines[side].set_visible(False)
-    _save(path, figure, dpi=100)
-
-
-def ratios(path: Path, title: str, panels: Mapping[str, Mapping[str, Sequence[float]]]) -> None:
-    """Draw ratios with their intervals, one panel beside the other, a line for each row.
-
-    Args:
-        path: The PNG file.
-        title: First line of the picture.
-        panels: By title of the panel and by row: middle, lower and upper end. The rows of the first
-            panel are the rows of all.
-    """
-    rows = list(next(iter(panels.values())))
-    figure = Figure(figsize=(3.2 * len(panels) + 2.0, 0.34 * len(rows) + 1.6), layout="constrained")
-    FigureCanvasAgg(figure)
-    figure.suptitle(title, fontsize=13)
-    every = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
-    for axes, (name, ratio) in zip(every, panels.items(), strict=True):
-        for y, row in enumerate(rows):
-            if row in ratio:
-                middle, low, high = ratio[row]
-                axes.plot([low, high], [y, y], color=_COLOURS[1], linewidth=2.0)
-                axes.plot(middle, y, "o", color=_COLOURS[1], markersize=4)
-        axes.axvline(1.0, color=_TRUTH, linewidth=0.8)
-        axes.set_title(name, fontsize=10)
-        axes.grid(True, axis="x", linewidth=0.4, alpha=0.6)
-        for side in ("top", "right"):
-            axes.spines[side].set_visible(False)
-    every[0].set_yticks(range(len(rows)), rows)
-    every[0].invert_yaxis()
     _save(path, figure, dpi=100)

@@ -1,10 +1,10 @@
-"""Long computations: the same results everywhere, at the cost of no worker that is lost."""
+"""Long computations: the same results everywhere, and no finished task is computed again."""
 
-import argparse
 import os
 import re
 import signal
 import socket
+import time
 from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,8 +13,12 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info
 
-from insdvl.jobs import parallel
-from insdvl.jobs.parallel import Pool, Store, TaskError, Workers, WorkersError
+from insdvl import kernels
+from insdvl.jobs import cluster, store
+from insdvl.jobs.options import Workers, WorkersError
+from insdvl.jobs.pool import TaskError, open_pool
+from insdvl.jobs.store import Store, environment
+from insdvl.kernels import source_digest
 
 BACKENDS = ("here", "loky", "dask")
 
@@ -23,9 +27,9 @@ BACKENDS = ("here", "loky", "dask")
 def pools():
     """One process, two of joblib, and a Dask cluster of two."""
     with (
-        parallel.pool(Workers("loky", 1)) as here,
-        parallel.pool(Workers("loky", 2)) as loky,
-        parallel.pool(Workers("dask", 2)) as dask,
+        open_pool(Workers("loky", 1)) as here,
+        open_pool(Workers("loky", 2)) as loky,
+        open_pool(Workers("dask", 2)) as dask,
     ):
         yield {"here": here, "loky": loky, "dask": dask}
 
@@ -42,6 +46,7 @@ class Trial:
     seed: int
     ran: Path | None = None  # a folder, for a file of each run
     ends_worker: Path | None = None  # once: while there is no such file
+    waits_for: int = 0  # results in the store, before it ends its worker
     fails: bool = False
     is_interrupted: bool = False
 
@@ -50,6 +55,9 @@ def product(matrix, trial):
     if trial.ran is not None:
         (trial.ran / f"{trial.seed}-{os.urandom(8).hex()}").touch()
     if trial.ends_worker is not None and not trial.ends_worker.exists():
+        stored = trial.ends_worker.parent / "store"
+        while len(list(stored.glob("*/*/*.npz"))) < trial.waits_for:
+            time.sleep(0.01)
         trial.ends_worker.touch()
         os.kill(os.getpid(), signal.SIGKILL)
     if trial.fails:
@@ -84,12 +92,16 @@ def bits(results):
     ]
 
 
+def kept(folder, settings=None):
+    return Store(folder / "store", settings or {}, Path(__file__))
+
+
 def runs(folder):
     return Counter(int(file.name.partition("-")[0]) for file in folder.iterdir())
 
 
 def test_identical_to_the_bit_wherever_they_run(pools):
-    results = {name: pools[name].run(product, trials(6), MATRIX) for name in BACKENDS}
+    results = {name: pools[name].compute(product, trials(6), MATRIX) for name in BACKENDS}
     assert bits(results["loky"]) == bits(results["here"])
     assert bits(results["dask"]) == bits(results["here"])
     processes = {name: {int(result["process"]) for result in results[name]} for name in BACKENDS}
@@ -100,44 +112,42 @@ def test_identical_to_the_bit_wherever_they_run(pools):
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_one_thread_in_each_task(pools, backend):
-    (result,) = pools[backend].run(threads, {"one": None})
+    (result,) = pools[backend].compute(threads, {"one": None})
     assert set(result["threads"]) == {1}
 
 
-@pytest.mark.parametrize("backend", ["loky", "dask"])
-def test_a_lost_worker_costs_nothing(pools, backend, tmp_path, capsys):
+def test_dask_runs_the_tasks_of_a_lost_worker_again(pools, tmp_path):
     tasks = trials(6)
     tasks["trial-3"] = replace(tasks["trial-3"], ends_worker=tmp_path / "ended")
-    results = pools[backend].run(product, tasks, MATRIX)
-    assert bits(results) == bits(pools["here"].run(product, trials(6), MATRIX))
+    results = pools["dask"].compute(product, tasks, MATRIX)
+    assert bits(results) == bits(pools["here"].compute(product, trials(6), MATRIX))
     assert (tmp_path / "ended").exists()
-    assert "a worker died; its tasks run again" in capsys.readouterr().err
 
 
-class Fragile:
-    """Workers that one task ends so many times, before anything else has a result."""
-
-    def __init__(self, deadly, times):
-        self.deadly = deadly
-        self.times = times
-
-    def outcomes(self, work):
-        if self.deadly in work.tasks and self.times:
-            self.times -= 1
-            raise parallel._LostWorkerError
-        yield from parallel._Here().outcomes(work)
+def test_a_task_that_ends_its_workers_on_dask_is_named(pools, tmp_path, monkeypatch):
+    scheduler = pools["dask"]._backend._client.cluster.scheduler
+    monkeypatch.setattr(scheduler, "allowed_failures", 0)
+    tasks = {"trial-0": Trial(0, ends_worker=tmp_path / "ended")}
+    sentence = r"^products: task trial-0 failed: its workers died \(out of memory\?\)$"
+    with pytest.raises(TaskError, match=sentence):
+        pools["dask"].compute(product, tasks, MATRIX, label="products")
 
 
-def test_a_task_that_ends_every_worker_is_named(tmp_path):
+def test_a_dead_process_ends_the_call_and_the_next_one_resumes(pools, tmp_path):
+    """The task that ends its worker waits until the others are finished."""
     ran = tmp_path / "ran"
     ran.mkdir()
-    store = Store(tmp_path / "store", {})
-    with pytest.raises(TaskError, match=r"^products: task trial-2 ended 3 workers"):
-        Pool(Fragile("trial-2", 100)).run(
-            product, trials(4, ran=ran), MATRIX, store, label="products"
-        )
-    assert runs(ran) == {0: 1, 1: 1}
-    assert len(Pool(Fragile("trial-2", 3)).run(product, trials(4), MATRIX)) == 4
+    tasks = trials(4, ran=ran)
+    tasks["trial-3"] = replace(tasks["trial-3"], ends_worker=tmp_path / "ended", waits_for=3)
+    sentence = (
+        r"^products: a worker process died \(out of memory\?\); finished tasks are kept, "
+        "run it again to resume$"
+    )
+    with pytest.raises(TaskError, match=sentence):
+        pools["loky"].compute(product, tasks, MATRIX, kept(tmp_path), "products")
+    again = pools["loky"].compute(product, tasks, MATRIX, kept(tmp_path), "products")
+    assert bits(again) == bits(pools["here"].compute(product, trials(4), MATRIX))
+    assert runs(ran) == {0: 1, 1: 1, 2: 1, 3: 2}
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
@@ -147,11 +157,11 @@ def test_a_failed_task_is_named_and_the_others_are_kept(pools, backend, tmp_path
     tasks = trials(3, ran=ran)
     tasks["trial-2"] = replace(tasks["trial-2"], fails=True)
     with pytest.raises(TaskError) as caught:
-        pools[backend].run(product, tasks, MATRIX, Store(tmp_path / "s", {}), label="products")
+        pools[backend].compute(product, tasks, MATRIX, kept(tmp_path), label="products")
     assert str(caught.value) == ("products: task trial-2 failed: ArithmeticError: no product for 2")
     assert "in product\n" in str(caught.value.__cause__)
 
-    pools["here"].run(product, trials(3, ran=ran), MATRIX, Store(tmp_path / "s", {}), "products")
+    pools["here"].compute(product, trials(3, ran=ran), MATRIX, kept(tmp_path), "products")
     # Dask may have met the failure first.
     assert runs(ran) == {0: 1, 1: 1, 2: 2} or (backend == "dask" and runs(ran)[2] == 2)
 
@@ -160,14 +170,14 @@ def test_a_failed_task_is_named_and_the_others_are_kept(pools, backend, tmp_path
 def test_only_what_is_missing_runs(pools, backend, tmp_path, capsys):
     ran = tmp_path / "ran"
     ran.mkdir()
-    store = Store(tmp_path / "store", {"seed": 1})
-    first = pools[backend].run(product, trials(3, ran=ran), MATRIX, store, "products")
+    store = kept(tmp_path, {"seed": 1})
+    first = pools[backend].compute(product, trials(3, ran=ran), MATRIX, store, "products")
     assert "earlier run" not in capsys.readouterr().err
-    again = Store(tmp_path / "store", {"seed": 1})
-    all_of_them = pools["here"].run(product, trials(5, ran=ran), MATRIX, again, "products")
+    again = kept(tmp_path, {"seed": 1})
+    all_of_them = pools["here"].compute(product, trials(5, ran=ran), MATRIX, again, "products")
     assert runs(ran) == dict.fromkeys(range(5), 1)
     assert bits(all_of_them[:3]) == bits(first)
-    assert bits(all_of_them) == bits(pools["here"].run(product, trials(5), MATRIX))
+    assert bits(all_of_them) == bits(pools["here"].compute(product, trials(5), MATRIX))
     assert "products: 3/5 from an earlier run" in capsys.readouterr().err
 
 
@@ -176,17 +186,17 @@ def test_an_interrupt_leaves_what_was_finished(pools, tmp_path):
     ran.mkdir()
     tasks = trials(4, ran=ran)
     tasks["trial-2"] = replace(tasks["trial-2"], is_interrupted=True)
-    store = Store(tmp_path / "store", {})
+    store = kept(tmp_path)
     with pytest.raises(KeyboardInterrupt):
-        pools["here"].run(product, tasks, MATRIX, store)
-    pools["here"].run(product, trials(4, ran=ran), MATRIX, store)
+        pools["here"].compute(product, tasks, MATRIX, store)
+    pools["here"].compute(product, trials(4, ran=ran), MATRIX, store)
     assert runs(ran) == {0: 1, 1: 1, 2: 2, 3: 1}
 
 
 @pytest.mark.parametrize("damage", ["one bit", "half", "empty", "pickle"])
 def test_a_damaged_result_is_computed_again(pools, damage, tmp_path, capsys):
-    store = Store(tmp_path / "store", {})
-    results = pools["here"].run(product, trials(2), MATRIX, store, "products")
+    store = kept(tmp_path)
+    results = pools["here"].compute(product, trials(2), MATRIX, store, "products")
     path = store.path("products", "trial-1")
     content = bytearray(path.read_bytes())
     if damage == "one bit":
@@ -196,56 +206,72 @@ def test_a_damaged_result_is_computed_again(pools, damage, tmp_path, capsys):
         content = path.read_bytes()
     path.write_bytes(content[: {"half": len(content) // 2, "empty": 0}.get(damage)])
     capsys.readouterr()
-    assert bits(pools["here"].run(product, trials(2), MATRIX, store, "products")) == bits(results)
+    assert bits(pools["here"].compute(product, trials(2), MATRIX, store, "products")) == bits(
+        results
+    )
     said = capsys.readouterr().err
     assert f"{path} is damaged" in said
     assert "products: 1/2 from an earlier run" in said
-    pools["here"].run(product, trials(2), MATRIX, store, "products")
+    pools["here"].compute(product, trials(2), MATRIX, store, "products")
     assert "damaged" not in capsys.readouterr().err
 
 
 def test_results_belong_to_settings_sources_and_versions(tmp_path, monkeypatch):
-    folder = Store(tmp_path / "store", {"a": 1, "b": 2}).folder
-    assert Store(tmp_path / "store", {"b": 2, "a": 1}).folder == folder
-    others = {Store(tmp_path / "store", {"a": 1, "b": 3}).folder}
+    folder = kept(tmp_path, {"a": 1, "b": 2}).folder
+    assert kept(tmp_path, {"b": 2, "a": 1}).folder == folder
+    others = {kept(tmp_path, {"a": 1, "b": 3}).folder}
     for name in ("insdvl", "python", "numpy", "scipy", "numba", "scikit-learn"):
-        changed = {**parallel.environment(), name: "another"}
-        monkeypatch.setattr(parallel, "environment", lambda changed=changed: changed)
-        others.add(Store(tmp_path / "store", {"a": 1, "b": 2}).folder)
+        changed = {**environment(Path(__file__)), name: "another"}
+        monkeypatch.setattr(store, "environment", lambda source, changed=changed: changed)
+        others.add(kept(tmp_path, {"a": 1, "b": 2}).folder)
         monkeypatch.undo()
     assert len(others - {folder}) == 7
 
 
+def test_results_depend_on_the_files_of_their_code_only(tmp_path):
+    def digest(name):
+        for cached in (kernels._imported, source_digest, environment):
+            cached.cache_clear()
+        return Store(tmp_path / f"of {name}", {}, tmp_path / name).folder.name
+
+    (tmp_path / "one.py").write_text("from insdvl.jobs import options\n")
+    (tmp_path / "two.py").write_text("from insdvl.jobs import options\n")
+    one, two = digest("one.py"), digest("two.py")
+    (tmp_path / "two.py").write_text("from insdvl.jobs import progress\n")
+    assert digest("one.py") == one
+    assert digest("two.py") != two
+
+
 def test_a_store_removes_its_own_and_nothing_else(pools, tmp_path):
-    old = Store(tmp_path / "store", {"seed": 1})
-    pools["here"].run(product, trials(1), MATRIX, old)
+    old = kept(tmp_path, {"seed": 1})
+    pools["here"].compute(product, trials(1), MATRIX, old)
     (tmp_path / "store" / "notes.txt").write_text("not ours")
-    store = Store(tmp_path / "store", {"seed": 2})
+    store = kept(tmp_path, {"seed": 2})
     assert not old.folder.exists()
     # A program that still uses the old one goes on.
-    pools["here"].run(product, trials(1), MATRIX, old)
+    pools["here"].compute(product, trials(1), MATRIX, old)
     assert old.path("tasks", "trial-0").is_file()
     store.clear()
     old.clear()
     assert [path.name for path in (tmp_path / "store").iterdir()] == ["notes.txt"]
     (tmp_path / "store" / "notes.txt").unlink()
-    Store(tmp_path / "store", {}).clear()
+    kept(tmp_path).clear()
     assert not (tmp_path / "store").exists()
 
 
 def test_only_arrays_without_objects_are_results(pools):
-    with pytest.raises(TaskError, match="task one failed: TypeError: objects is no array"):
-        pools["here"].run(objects, {"one": None})
+    with pytest.raises(TaskError, match="task one failed: TypeError: objects is not an array"):
+        pools["here"].compute(objects, {"one": None})
 
 
 @pytest.mark.parametrize("name", ["", "a/b", ".hidden", "..", "x" * 300])
 def test_names_are_file_names(pools, name):
-    with pytest.raises(ValueError, match="cannot be the name of a file"):
-        pools["here"].run(product, {name: Trial(0)}, MATRIX)
+    with pytest.raises(ValueError, match="is not a valid file name"):
+        pools["here"].compute(product, {name: Trial(0)}, MATRIX)
 
 
 def test_progress_in_a_few_lines(pools, capsys):
-    pools["here"].run(product, trials(60), MATRIX, label="products")
+    pools["here"].compute(product, trials(60), MATRIX, label="products")
     lines = capsys.readouterr().err.splitlines()
     assert lines[0] == "products: 0/60"
     assert re.fullmatch(r"products: 60/60, \d+:\d\d elapsed, 0:00 left", lines[-1])
@@ -253,64 +279,30 @@ def test_progress_in_a_few_lines(pools, capsys):
 
 
 def test_an_existing_cluster(pools, address):
-    with parallel.pool(Workers("dask", scheduler=address)) as pool:
-        results = pool.run(product, trials(3), MATRIX)
-    assert bits(results) == bits(pools["here"].run(product, trials(3), MATRIX))
-    assert len(pools["dask"].run(product, trials(1), MATRIX)) == 1  # it goes on
+    with open_pool(Workers("dask", scheduler=address)) as pool:
+        results = pool.compute(product, trials(3), MATRIX)
+    assert bits(results) == bits(pools["here"].compute(product, trials(3), MATRIX))
+    assert len(pools["dask"].compute(product, trials(1), MATRIX)) == 1  # it goes on
 
 
 @pytest.mark.parametrize("name", ["insdvl", "numpy"])
 def test_a_cluster_with_other_versions_is_refused(address, name, monkeypatch):
-    ours = parallel.environment()
-    monkeypatch.setitem(ours, name, "another")
+    monkeypatch.setitem(environment(Path(__file__)), name, "another")
     with (
-        pytest.raises(WorkersError, match=rf"has {name} \S+, and this process another$"),
-        parallel.pool(Workers("dask", scheduler=address)),
+        open_pool(Workers("dask", scheduler=address)) as pool,
+        pytest.raises(WorkersError, match=rf"has {name} \S+, this process has another$"),
     ):
-        pass
+        pool.compute(product, trials(3), MATRIX)
 
 
 def test_no_scheduler_is_one_sentence(monkeypatch):
-    monkeypatch.setattr(parallel, "CONNECT_TIMEOUT_S", 0.3)
+    monkeypatch.setattr(cluster, "CONNECT_TIMEOUT_S", 0.3)
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         nobody = f"tcp://127.0.0.1:{free.getsockname()[1]}"
     for scheduler in (nobody, "nonsense"):
         with (
             pytest.raises(WorkersError, match=f"^no Dask scheduler answers at {scheduler}$"),
-            parallel.pool(Workers("dask", scheduler=scheduler)),
+            open_pool(Workers("dask", scheduler=scheduler)),
         ):
             pass
-
-
-def workers_of(*options):
-    parser = argparse.ArgumentParser()
-    parallel.add_arguments(parser)
-    return parallel.workers_of(parser.parse_args(options))
-
-
-def test_options():
-    assert workers_of() == Workers("loky", len(os.sched_getaffinity(0)))
-    assert workers_of("--jobs", "3", "--backend", "dask") == Workers("dask", 3)
-    scheduler = "tcp://host:8786"
-    assert workers_of("--backend", "dask", "--scheduler", scheduler).scheduler == scheduler
-
-
-@pytest.mark.parametrize(
-    ("options", "sentence"),
-    [
-        (["--jobs", "0"], "--jobs must be >= 1, got 0"),
-        (["--scheduler", "host:1"], "--scheduler host:1 needs --backend dask, got loky"),
-        (["--backend", "dask", "--scheduler", "host:1", "--jobs", "2"], "--jobs 2 has no meaning"),
-    ],
-)
-def test_bad_options(options, sentence):
-    with pytest.raises(WorkersError, match=sentence):
-        workers_of(*options)
-
-
-def test_dask_that_is_not_installed(monkeypatch):
-    monkeypatch.setattr(parallel, "find_spec", lambda name: None)
-    with pytest.raises(WorkersError, match=r"insdvl\[dask\]"):
-        workers_of("--backend", "dask")
-    assert workers_of("--jobs", "2") == Workers("loky", 2)

@@ -1,8 +1,7 @@
-"""The command `insdvl results`: every number and picture of docs/results.md, and the page itself.
+"""The command `insdvl results`: all numbers and plots of docs/results.md, and the page itself.
 
-The page is made of parts; the numbers of each are a JSON file beside it, from which it is written.
-A part that is not computed this time keeps its file, so that the page can be written again without
-the recordings, or after a part alone.
+The page consists of parts; the numbers of each part are a JSON file in results/. A part that is not
+computed keeps its file, so the page can be written without the recordings or after a single part.
 """
 
 import argparse
@@ -13,10 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from insdvl.files import check_writable, json_text, read_parts, write
-from insdvl.jobs import parallel
-from insdvl.jobs.parallel import Pool, Store, TaskError
+from insdvl.jobs.options import add_worker_options, workers_from
+from insdvl.jobs.pool import Pool, TaskError, open_pool
+from insdvl.jobs.store import Store, environment
 from insdvl.simulation.noise import SCENARIOS
-from insdvl.studies.evaluation import accuracy, page, plots, vehicle, window
+from insdvl.studies.evaluation import comparison
 from insdvl.studies.evaluation.approaches import (
     BEST_CONSTANT,
     CLOSED_FORM,
@@ -28,11 +28,13 @@ from insdvl.studies.evaluation.approaches import (
 )
 from insdvl.studies.evaluation.comparison import Plan, compare
 from insdvl.studies.evaluation.options import check_names, check_numbers
+from insdvl.studies.report.plots import draw_errors_over_time
+from insdvl.studies.results import accuracy, page, recordings, vehicle, window
 from insdvl.tuner.models import load_model
 
 #: Rows of the tables that show what an error state or the gate changes.
 _FEW = (FIRST_CONSTANT, "hcf default", BEST_CONSTANT, CLOSED_FORM, ORACLE)
-#: Rows of the pictures over time.
+#: Rows of the plots over time.
 _DRAWN = (FIRST_CONSTANT, BEST_CONSTANT, "hcf default", ORACLE)
 
 #: The comparisons, by part.
@@ -49,50 +51,60 @@ PLANS: Mapping[str, Plan] = {
 ACCURACY, WINDOW, VEHICLE = "q-accuracy", "window", "vehicle"
 PARTS = (ACCURACY, *PLANS, WINDOW, VEHICLE)
 _WINDOW_RUNS = 10
-_RECORDING_RUNS, _RECORDING_TUNING_RUNS = 10, 3  # of each recording and injection
+_RECORDING_RUNS, _RECORDING_TUNING_RUNS = 10, 3  # for each recording and injection
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's options."""
     parser.add_argument(
-        "--out", type=Path, default=Path("docs"), metavar="DIR", help="folder (default: ./docs)"
+        "--out",
+        type=Path,
+        default=Path("docs"),
+        metavar="DIR",
+        help="output folder (default: ./docs)",
     )
     parser.add_argument(
         "--parts",
         metavar="NAME,NAME",
-        help="what is computed, with commas between, or 'none' to write the page again (default: "
+        help="parts to compute, separated by commas, or 'none' to write the page only (default: "
         f"all): {', '.join(PARTS)}",
     )
     parser.add_argument(
-        "--recordings", type=Path, metavar="DIR", help=f"of rosbag2 recordings; {VEHICLE} needs it"
+        "--recordings", type=Path, metavar="DIR", help=f"folder of rosbag2 recordings for {VEHICLE}"
     )
     parser.add_argument(
-        "--config", type=Path, metavar="FILE", help=f"YAML of the recordings; {VEHICLE} needs it"
+        "--config", type=Path, metavar="FILE", help=f"YAML file of the recordings for {VEHICLE}"
     )
     parser.add_argument(
         "--runs",
         type=int,
         metavar="N",
-        help="of each comparison (default: 100)",
+        help="number of runs of each comparison (default: 100)",
     )
-    parser.add_argument("--tuning-runs", type=int, default=5, metavar="N", help="(default: 5)")
-    parser.add_argument("--seed", type=int, default=1, help="of all parts (default: 1)")
-    parallel.add_arguments(parser)
+    parser.add_argument(
+        "--tuning-runs",
+        type=int,
+        default=5,
+        metavar="N",
+        help="number of runs of a search (default: 5)",
+    )
+    parser.add_argument("--seed", type=int, default=1, help="random seed (default: 1)")
+    add_worker_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Compute the parts and write the page; the exit code is 2 where the input is refused."""
+    """Compute the parts and write the page; the exit code is 2 for invalid input."""
     try:
         parts = _parts(arguments)
         folder = arguments.out / "results"
         folder.mkdir(parents=True, exist_ok=True)
         check_writable(arguments.out / "results.md", "--out")
         if parts:
-            with parallel.pool(parallel.workers_of(arguments)) as pool:
+            with open_pool(workers_from(arguments)) as pool:
                 stores = [_compute(part, arguments, folder, pool) for part in parts]
-            for store in stores:  # kept until now: an interrupted command resumes
+            for store in stores:  # kept until now, so that an interrupted command resumes
                 store.clear()
-        write(arguments.out / "results.md", page.markdown(documents(folder)).encode())
+        write(arguments.out / "results.md", page.results_page(documents(folder)).encode())
     except TaskError as error:
         print(f"insdvl results: {error}", file=sys.stderr)
         return 1
@@ -104,7 +116,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _parts(arguments: argparse.Namespace) -> list[str]:
-    """The parts that are asked for, in their order."""
+    """The requested parts, in their order."""
     check_numbers(arguments)
     recorded = arguments.recordings is not None and arguments.config is not None
     if arguments.parts is None:
@@ -117,7 +129,7 @@ def _parts(arguments: argparse.Namespace) -> list[str]:
 
 
 def _compute(part: str, arguments: argparse.Namespace, folder: Path, pool: Pool) -> Store:
-    """Compute a part and write its numbers and pictures; what it keeps is still there."""
+    """Compute a part and write its numbers and plots; its store is not cleared."""
     seed, work = arguments.seed, folder / f".{part}.work"
     models = fingerprint(tuple(LEARNED))
     if part in PLANS:
@@ -127,18 +139,21 @@ def _compute(part: str, arguments: argparse.Namespace, folder: Path, pool: Pool)
             tuning_runs=arguments.tuning_runs,
             seed=seed,
         )
-        store = Store(work, {"plan": asdict(plan), "models": models})
+        source = Path(comparison.__file__)
+        store = Store(work, {"plan": asdict(plan), "models": models}, source)
         compared = compare(plan, pool, store)
         document = compared.document
         drawn = {row: compared.series[row] for row in _DRAWN if row in compared.series}
-        plots.errors_over_time(folder / f"{part}.png", part, drawn)
+        draw_errors_over_time(folder / f"{part}.png", part, drawn)
     elif part == VEHICLE:
-        settings = vehicle.Settings.load(arguments.config)
-        recordings = vehicle.load_all(arguments.recordings, settings)
+        settings = recordings.Settings.load(arguments.config)
+        recorded = recordings.load_all(arguments.recordings, settings)
         learned = {row: load_model(LEARNED[row]) for row in ("hcf paper", "hcf default")}
-        store = Store(work, {"seed": seed, **vehicle.fingerprint(recordings, settings, learned)})
-        document = vehicle.study(
-            recordings,
+        source = Path(vehicle.__file__)
+        fingerprint_ = recordings.fingerprint(recorded, settings, learned)
+        store = Store(work, {"seed": seed, **fingerprint_}, source)
+        document = vehicle.study_recordings(
+            recorded,
             settings,
             learned,
             runs=_RECORDING_RUNS,
@@ -148,20 +163,21 @@ def _compute(part: str, arguments: argparse.Namespace, folder: Path, pool: Pool)
             store=store,
         )
     else:
-        store = Store(work, {"seed": seed, "models": models})
+        source = Path(accuracy.__file__ if part == ACCURACY else window.__file__)
+        store = Store(work, {"seed": seed, "models": models}, source)
         if part == ACCURACY:
-            document = accuracy.study(seed, pool, store)
+            document = accuracy.study_accuracy(seed, pool, store)
         else:
-            document = window.study(_WINDOW_RUNS, seed, pool, store)
-    document["environment"] = parallel.environment()
+            document = window.study_windows(_WINDOW_RUNS, seed, pool, store)
+    document["environment"] = environment(source)
     write(folder / f"{part}.json", json_text(document).encode())
     return store
 
 
 def documents(folder: Path) -> dict[str, Any]:
-    """The parts of a folder that have been computed, now or before.
+    """The documents of the parts that are in a folder.
 
     Raises:
-        ValueError: A file cannot be read, is damaged or lacks a number; the message names it.
+        ValueError: A file cannot be read, is damaged or incomplete; the message names it.
     """
-    return read_parts(folder, PARTS, page.markdown)
+    return read_parts(folder, PARTS, page.results_page)

@@ -1,12 +1,12 @@
-"""How well each estimator knows the variance of white noise in a window, and what limits it.
+"""How well each estimator knows the variance of white noise in a window, and its limits.
 
-On the published grid of variances an estimator is tested on the 20 % that no model has trained on;
-beside it stands the error on trajectories that were left out of training, for learned estimators
-that of their cards. On the AUV's trajectory, which nothing has trained on, variances are
-log-uniform, a new one in each window and channel, in the range of the training and in two others.
+On the published grid of variances an estimator is tested on the 20 % of examples that no model was
+trained on; the error on trajectories that were left out of training comes from the cards of learned
+estimators. On the AUV trajectory, which no model was trained on, variances are log-uniform, a new
+one for each window and channel, in the range of the training and in two others.
 
-The motion of a window without noise, seen through a closed form, is the variance that this form
-takes for noise: that is where motion hides noise.
+A closed form that is applied to the motion of a window without noise gives the variance that it
+takes for noise: where this is large, motion hides noise.
 """
 
 from collections.abc import Callable, Mapping
@@ -14,13 +14,15 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from insdvl.jobs.parallel import Pool, Store
+from insdvl.arrays import Array
+from insdvl.jobs.pool import Pool
+from insdvl.jobs.store import Store
 from insdvl.simulation.imu import ideal_imu
-from insdvl.simulation.trajectories import AUV, BASELINE, Trajectory
+from insdvl.simulation.motion import Trajectory
+from insdvl.simulation.trajectories import AUV, BASELINE
 from insdvl.studies.evaluation.approaches import LEARNED, estimator, unavailable
-from insdvl.studies.evaluation.tables import number, table
+from insdvl.studies.report.markdown import number, table
 from insdvl.studies.training import dataset
 from insdvl.studies.training.dataset import RATE, VARIANCES, WINDOW, Recipe
 from insdvl.studies.training.metrics import RANDOM, TRAJECTORY
@@ -35,8 +37,6 @@ from insdvl.tuner.features.closed_form import (
 from insdvl.tuner.models import load_model
 from insdvl.tuner.windows import CHANNELS
 
-Array = NDArray[np.float64]
-
 POSTERIOR_MEAN = "degree-5 detrend, posterior mean"
 CLOSED_FORMS: Mapping[str, Callable[[Array], Array]] = {
     "variance after linear detrend": linear,
@@ -45,7 +45,7 @@ CLOSED_FORMS: Mapping[str, Callable[[Array], Array]] = {
     POSTERIOR_MEAN: partial(posterior_mean, grid=VARIANCES),
 }
 
-#: Variances of the AUV's noise over those of the training.
+#: Factors of the noise variances on the AUV trajectory to those of the training.
 FACTORS = {"in range": 1.0, "1/1000": 1e-3, "x 10": 10.0}
 #: Channels of each group.
 GROUPS = {
@@ -55,26 +55,26 @@ GROUPS = {
 }
 CHANNEL_NAMES = ("f_x", "f_y", "f_z", "w_x", "w_y", "w_z")
 
-#: Motion hides noise where it looks like more than this part of the noise's variance.
+#: Motion hides noise where it looks like more than this share of the noise variance.
 HIDING = 0.1
 
-REPETITIONS = 20  # of the AUV's trajectory, for each range
-_SEED = 0  # of the published data set, whose split the shipped models have
+REPETITIONS = 20  # flights of the AUV trajectory, for each range
+_SEED = 0  # of the data set whose split the shipped models have
 _STREAM = 2005  # first key of the random streams
 
 
-def study(seed: int, pool: Pool, store: Store | None = None) -> dict[str, Any]:
-    """The table's numbers.
+def study_accuracy(seed: int, pool: Pool, store: Store | None = None) -> dict[str, Any]:
+    """The numbers of the study.
 
     Args:
-        seed: Of the noise on the AUV's trajectory.
-        pool: Where they are computed.
-        store: Keeps what is finished.
+        seed: Random seed of the noise on the AUV trajectory.
+        pool: Computes the tasks.
+        store: Keeps finished tasks.
 
     Returns:
-        ``rows``: of each estimator its RMSE on the published grid, and the RMSE and the mean of its
-        relative error on the AUV's trajectory, for each range and group of channels; ``limits``;
-        ``motion``: see `motion`; ``omitted``: learned estimators that cannot be used, and why.
+        ``rows``: for each estimator the RMSE on the published grid, and RMSE and mean of the
+        relative error on the AUV trajectory for each range and group of channels; ``limits``;
+        ``motion``: see `motion`; ``omitted``: reason of each learned estimator that cannot be used.
     """
     omitted = unavailable(tuple(LEARNED))
     rows = [*(row for row in LEARNED if row not in omitted), *CLOSED_FORMS]
@@ -98,7 +98,7 @@ def study(seed: int, pool: Pool, store: Store | None = None) -> dict[str, Any]:
 
 
 def _estimates(rows: list[str], windows: Array) -> Array:
-    """Answers (rows, M) of each estimator to windows (M, N)."""
+    """Estimates (rows, M) of each estimator for windows (M, N)."""
     return np.array(
         [
             CLOSED_FORMS[row](windows) if row in CLOSED_FORMS else estimator(row)[0](windows)
@@ -115,7 +115,7 @@ def _published(
 ) -> dict[str, dict[str, float | None]]:
     recipe = Recipe("paper", _SEED)
     recordings = [(i, j) for i in range(len(BASELINE)) for j in range(VARIANCES.size)]
-    results = pool.run(
+    results = pool.compute(
         published_recording,
         {f"{i}-{j:02}": (i, j) for i, j in recordings},
         shared=(rows, recipe),
@@ -137,7 +137,7 @@ def _published(
 def published_recording(
     shared: tuple[list[str], Recipe], recording: tuple[int, int]
 ) -> dict[str, Array]:
-    """``errors`` (rows, windows) of a recording of the data set, in its order."""
+    """``errors`` (rows, windows) of a recording of the data set, in the order of its windows."""
     rows, recipe = shared
     windows = dataset.noisy_windows(recipe, *recording)
     return {"errors": _estimates(rows, windows) - VARIANCES[recording[1]]}
@@ -150,7 +150,7 @@ def _unseen(
     rows: list[str], seed: int, pool: Pool, store: Store | None
 ) -> dict[str, dict[str, dict[str, dict[str, float]]]]:
     tasks = {f"{k}-{r:02}": (k, r) for k in range(len(FACTORS)) for r in range(REPETITIONS)}
-    results = pool.run(
+    results = pool.compute(
         unseen_flight, tasks, shared=(rows, seed), store=store, label="accuracy on the AUV"
     )
     numbers: dict[str, dict[str, dict[str, dict[str, float]]]] = {row: {} for row in rows}
@@ -186,7 +186,7 @@ def _n_windows(trajectory: Trajectory) -> int:
 
 
 def ideal_windows(trajectory: Trajectory) -> Array:
-    """Windows (6, K, WINDOW) of a perfect IMU, one after the other, as many as there are."""
+    """All K consecutive windows (6, K, WINDOW) of a perfect IMU."""
     n = _n_windows(trajectory)
     stamps_s = np.arange(1, n * WINDOW + 1) / RATE
     readings = np.hstack(ideal_imu(trajectory, stamps_s, 1.0 / RATE))
@@ -194,12 +194,12 @@ def ideal_windows(trajectory: Trajectory) -> Array:
 
 
 def motion(trajectory: Trajectory) -> dict[str, dict[str, dict[str, float]]]:
-    """What closed forms take for noise where there is none.
+    """The variance that closed forms take for noise where there is none.
 
     Returns:
-        Of each form that is unbiased for white noise, and of each channel: the largest variance of
-        motion, the time at which its window ends [s], and the share of windows in which it is more
-        than HIDING of the smallest variance of each range.
+        For each form that is unbiased for white noise, and each channel: the largest variance of
+        motion, the time at which its window ends [s], and the share of windows in which it exceeds
+        HIDING times the smallest variance of each range.
     """
     windows = ideal_windows(trajectory)
     numbers: dict[str, dict[str, dict[str, float]]] = {}
@@ -228,7 +228,7 @@ def _rms(error: Array) -> float:
 # ---------------------------------------------------------------- tables
 
 
-def markdown(document: Mapping[str, Any]) -> str:
+def accuracy_tables(document: Mapping[str, Any]) -> str:
     """The tables of the study."""
     return "\n".join(
         [_accuracy_table(document), _groups_table(document), _motion_table(document)]
@@ -259,8 +259,8 @@ def _accuracy_table(document: Mapping[str, Any]) -> str:
         ["limit: no range known, degree 5", "", "", relative, relative, relative],
     ]
     return (
-        f"On the AUV's trajectory: relative RMSE, and in brackets the mean relative error, in %, "
-        f"of {document['windows_per_range']} windows each.\n\n{table(head, body)}"
+        "On the AUV trajectory: relative RMSE, and in brackets the mean relative error, in %, over "
+        f"{document['windows_per_range']} windows per range.\n\n{table(head, body)}"
     )
 
 
@@ -279,7 +279,7 @@ def _groups_table(document: Mapping[str, Any]) -> str:
         ]
         for row in document["rows"]
     ]
-    return f"The same, by channels.\n\n{table(head, body)}"
+    return f"The same by groups of channels.\n\n{table(head, body)}"
 
 
 def _motion_table(document: Mapping[str, Any]) -> str:
@@ -299,7 +299,7 @@ def _motion_table(document: Mapping[str, Any]) -> str:
             ]
         body.append(cells)
     return (
-        "Where motion hides noise: the variance that the motion alone leaves in a window, its "
-        "largest value and the end of that window, and the share of windows in which it is more "
-        f"than {100.0 * HIDING:.0f} % of a q.\n\n{table(head, body)}"
+        "Where motion hides noise: the variance that motion alone leaves in a window, its largest "
+        "value and the end of that window, and the share of windows in which it exceeds "
+        f"{100.0 * HIDING:.0f} % of q.\n\n{table(head, body)}"
     )

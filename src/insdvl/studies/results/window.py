@@ -1,7 +1,7 @@
-"""How long the tuner's window should be, and how often it should tell: a study on simulations.
+"""Length of the tuner's window and its rate: a study on simulations.
 
-A long window knows a constant variance better; a short one notices a change sooner, and so does a
-high rate, since a variance holds until the next one is told.
+A long window estimates a constant variance better; a short one sees a change sooner, and so does a
+high rate, since a variance applies until the next one is published.
 """
 
 from collections.abc import Mapping, Sequence
@@ -9,29 +9,29 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from insdvl.jobs.parallel import Pool, Store
+from insdvl.arrays import Array, Stamps
+from insdvl.jobs.pool import Pool
+from insdvl.jobs.store import Store
 from insdvl.studies.evaluation import statistics
 from insdvl.studies.evaluation.approaches import Setting
 from insdvl.studies.evaluation.metrics import rmse
-from insdvl.studies.evaluation.monte_carlo import TEST, Run, Study, numbered, track_of
-from insdvl.studies.evaluation.tables import interval, number, table
-from insdvl.studies.training.ensemble import train
+from insdvl.studies.evaluation.monte_carlo import (
+    CHANGES,
+    TEST,
+    Run,
+    Study,
+    numbered,
+    track_of,
+)
+from insdvl.studies.report.markdown import interval, number, table
+from insdvl.studies.training import ensemble
 from insdvl.timeline.output import FoldResult
 from insdvl.tuner.forest import Forest
 from insdvl.tuner.models import Model, load_model
 
-Array = NDArray[np.float64]
-
 WINDOWS = (50, 100, 200, 400)  # samples
 RATES = (0.5, 1.0, 2.0, 5.0)  # Hz
-#: Noise profiles, and how often each channel changes in them.
-PROFILES = {
-    "fast": "every 2 to 6 s",
-    "varying": "every 15 to 45 s",
-    "slow": "every 60 to 180 s",
-}
 _BOOTSTRAP = 2004  # key of the random stream
 _SETTING = Setting("calibrated")
 
@@ -41,7 +41,7 @@ def window_run(shared: tuple[Study, Mapping[int, Model]], number: int) -> dict[s
 
     Returns:
         ``body_rmse`` (windows, rates) and ``oracle`` (): RMSE of the body velocity [m/s];
-        ``q_error`` (windows, rates): RMS over time and channels of log(q told / q true).
+        ``q_error`` (windows, rates): RMS over time and channels of log(q received / q true).
     """
     study, models = shared
     run = Run(study, TEST, number)
@@ -50,10 +50,10 @@ def window_run(shared: tuple[Study, Mapping[int, Model]], number: int) -> dict[s
     learned, oracle = _SETTING.filter(source="external"), _SETTING.filter(source="oracle")
     for i, (window, model) in enumerate(models.items()):
         for j, rate in enumerate(RATES):
-            told = run.learned(model.variances, window, rate)
-            errors[i, j] = _body_rmse(run.fold_told(learned, *told), run)
-            q_errors[i, j] = _q_error(run, *told)
-    best = run.fold_told(oracle, *run.mission.process_noise())
+            q = run.learned(model.variances, window, rate)
+            errors[i, j] = _body_rmse(run.fold_received(learned, *q), run)
+            q_errors[i, j] = _q_error(run, *q)
+    best = run.fold_received(oracle, *run.mission.process_noise())
     return {
         "body_rmse": errors,
         "q_error": q_errors,
@@ -65,18 +65,18 @@ def _body_rmse(fold: FoldResult, run: Run) -> float:
     return rmse(track_of(fold.states).v_b - run.truth.v_b)
 
 
-def _q_error(run: Run, stamps_ns: NDArray[np.int64], variances: Array) -> float:
-    told = np.searchsorted(stamps_ns, run.mission.stamps_ns, side="left") - 1
-    known = told >= 0
-    return float(np.sqrt(np.mean(np.log(variances[told[known]] / run.mission.q[known]) ** 2)))
+def _q_error(run: Run, stamps_ns: Stamps, variances: Array) -> float:
+    latest = np.searchsorted(stamps_ns, run.mission.stamps_ns, side="left") - 1
+    known = latest >= 0
+    return float(np.sqrt(np.mean(np.log(variances[latest[known]] / run.mission.q[known]) ** 2)))
 
 
 def trained(window: int, pool: Pool, store: Store | None) -> Model:
-    """The shipped model `default`, or the same trained for another window."""
+    """The shipped model `default`, or one trained alike for another window."""
     shipped = load_model("default")
     if window == shipped.window:
         return shipped
-    data, card = train(
+    data, card = ensemble.train(
         shipped.card["feature_schema"],
         window,
         shipped.card["data_set"]["seed"],
@@ -87,16 +87,16 @@ def trained(window: int, pool: Pool, store: Store | None) -> Model:
     return replace(shipped, card=card, window=window, regressor=Forest.load(data))
 
 
-def study(
+def study_windows(
     runs: int, seed: int, pool: Pool, store: Store | None = None, windows: Sequence[int] = WINDOWS
 ) -> dict[str, Any]:
-    """The study's numbers.
+    """The numbers of the study.
 
     Args:
         runs: Number of runs of each profile.
-        seed: Of the runs.
-        pool: Where they are computed.
-        store: Keeps what is finished.
+        seed: Random seed of the runs.
+        pool: Computes the runs.
+        store: Keeps finished runs.
         windows: Numbers of samples.
     """
     models = {window: trained(window, pool, store) for window in windows}
@@ -109,8 +109,8 @@ def study(
         "seed": seed,
         "profiles": {},
     }
-    for profile in PROFILES:
-        results = pool.run(
+    for profile in CHANGES:
+        results = pool.compute(
             window_run,
             numbered(runs),
             shared=(Study(profile, seed), models),
@@ -134,13 +134,14 @@ def study(
     return document
 
 
-def markdown(document: Mapping[str, Any]) -> str:
-    """The study's tables."""
+def window_tables(document: Mapping[str, Any]) -> str:
+    """The tables of the study."""
     parts = [f"{document['runs']} runs of each profile, seed {document['seed']}.\n"]
     for profile, numbers in document["profiles"].items():
         parts.append(
-            f"`{profile}`: each channel changes {PROFILES[profile]}. Body velocity RMSE over that "
-            "of the oracle, and in brackets its 95 % interval; then the RMS error of log q.\n"
+            f"`{profile}`: each channel changes every {CHANGES[profile][0]:g} to "
+            f"{CHANGES[profile][1]:g} s. Body velocity RMSE divided by that of the oracle, with "
+            "its 95 % interval in brackets; then the RMS error of log q.\n"
         )
         body = [
             [

@@ -1,0 +1,43 @@
+"""Initial states whose errors are drawn from the filter's P_0: the one place that draws them."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from insdvl.navigation.events import Initial
+from insdvl.navigation.parameters import InitialParameters
+from insdvl.simulation.motion import Truth
+
+
+def drawn_initial(
+    truth: Truth,
+    sigma: InitialParameters,
+    rng: np.random.Generator,
+    *,
+    stamp_ns: int = 0,
+    with_position: bool = True,
+) -> Initial:
+    """The truth with a random error of attitude, position and velocity.
+
+    The errors are independent, in this order of draws: rotation vector about navigation axes,
+    position, velocity in the frame ``sigma.velocity_frame``.
+
+    Args:
+        truth: Its first state is used.
+        sigma: Standard deviations and the frame of the velocity.
+        rng: Generator of the draws.
+        stamp_ns: Stamp of the event.
+        with_position: False keeps the true position and draws nothing for it.
+    """
+    C_n_b, v_n = truth.C_n_b[0], truth.v_n[0]
+    psi = rng.standard_normal(3) * sigma.attitude_std
+    p_n = truth.p_n[0]
+    if with_position:
+        p_n = p_n + sigma.position_std * rng.standard_normal(3)
+    v = C_n_b.T @ v_n if sigma.velocity_frame == "body" else v_n
+    return Initial(
+        stamp_ns=stamp_ns,
+        C_n_b=Rotation.from_rotvec(-psi).as_matrix() @ C_n_b,
+        p_n=p_n,
+        v=v + sigma.velocity_std * rng.standard_normal(3),
+        velocity_frame=sigma.velocity_frame,
+    )

@@ -1,0 +1,1 @@
+"""The command `insdvl results`: the studies behind docs/results.md, and the page itself."""

@@ -1,0 +1,244 @@
+"""The page docs/results.md, written from the numbers of its parts.
+
+The page has tables, definitions, and verdicts that are computed. What follows from the numbers is
+written by hand in docs/results/README.md: other numbers would leave a compiled sentence standing.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from insdvl.simulation.noise import SCENARIO_TEXTS, SCENARIOS
+from insdvl.studies.evaluation.tables import comparison_tables
+from insdvl.studies.report.markdown import interval, number
+from insdvl.studies.results.accuracy import accuracy_tables
+from insdvl.studies.results.targets import Documents, row, targets_table
+from insdvl.studies.results.vehicle_tables import vehicle_tables
+from insdvl.studies.results.window import window_tables
+
+_NO_WALK = "constant-paper-no-walk"
+
+
+def results_page(documents: Documents) -> str:
+    """The page; a part whose numbers are missing is named.
+
+    Args:
+        documents: Numbers by part, as in docs/results/.
+    """
+    parts = [
+        _INTRODUCTION.format(provenance=_provenance(documents)),
+        _targets(documents),
+        _accuracy(documents),
+        _calibrated(documents),
+        _published(documents),
+        _error_state_and_gate(documents),
+        _window(documents),
+        _vehicle(documents),
+    ]
+    return "\n".join(part.strip() + "\n" for part in parts)
+
+
+_INTRODUCTION = """
+# Results
+
+Navigation with learned process noise, compared with all alternatives, on simulations and on
+recordings of a real vehicle. One command writes this page with its tables and plots, in about an
+hour on all cores:
+
+```
+make results                                       # the simulations
+make results ARGS="--recordings DIR --config FILE"   # and recordings of a real vehicle
+```
+
+What the numbers mean, and what is not claimed, is in [results/README.md](results/README.md). The
+numbers behind the tables are in [results/](results/), one JSON file per part, with the numbers of
+every run, the seeds and the versions.
+
+{provenance}
+
+Brackets hold 95 % intervals of a bootstrap over runs, which draws each run with the results of all
+rows. All rows of a table see the same missions, noise, DVL errors and initial errors. Searches
+(best constant, best adaptive filter) use other seeds than the reported runs. A ratio below 1 means
+that the row is better than its reference.
+"""
+
+
+def _provenance(documents: Documents) -> str:
+    seeds = {d["plan"]["seed"] for d in documents.values() if "plan" in d}
+    environments = {str(sorted(d["environment"].items())) for d in documents.values()}
+    text = "Seed of all runs: " + ", ".join(str(seed) for seed in sorted(seeds)) + "."
+    if len(environments) > 1:
+        text += " Parts were computed with different versions; each file names its own."
+    return text
+
+
+def _targets(documents: Documents) -> str:
+    return (
+        "## Targets\n\nThe targets were set before the measurements. A ratio meets its target when "
+        "the upper end of its\ninterval does. *Learned* is the model `default`.\n\n"
+        + targets_table(documents)
+    )
+
+
+def _section(title: str, prose: str, parts: Sequence[str]) -> str:
+    return "\n\n".join([f"## {title}", prose.strip(), *(part.strip() for part in parts)]) + "\n"
+
+
+def _missing(*parts: str) -> str:
+    return f"Not computed: {', '.join(parts)}."
+
+
+def _accuracy(documents: Documents) -> str:
+    document = documents.get("q-accuracy")
+    return _section(
+        "Accuracy of the variance",
+        """
+An estimator gets a window of 200 samples of one channel, and estimates the variance of its white
+noise. There are two limits. An estimator that knows the published grid of 15 variances cannot have
+a smaller RMSE than the Bayes estimator. A scale-equivariant estimator that allows for motion along
+a polynomial of degree 5 has 194 degrees of freedom and a relative error of at least
+$\\sqrt{2/194}$ = 10.2 %.
+""",
+        [accuracy_tables(document) if document else _missing("q-accuracy")],
+    )
+
+
+def _comparison(documents: Documents, part: str, title: str) -> str:
+    if part not in documents:
+        return f"### {title}\n\n{_missing(part)}"
+    return f"### {title}\n\n{comparison_tables(documents[part])}"
+
+
+def _scenarios(documents: Documents, preset: str) -> list[str]:
+    return [
+        _comparison(documents, f"{scenario}-{preset}", f"`{scenario}`: {SCENARIO_TEXTS[scenario]}")
+        for scenario in SCENARIOS
+    ]
+
+
+def _calibrated(documents: Documents) -> str:
+    parts = {
+        scenario: documents[f"{scenario}-calibrated"]
+        for scenario in ("varying", "wide")
+        if f"{scenario}-calibrated" in documents
+    }
+    plots = [
+        f"![Errors over time, {scenario}](results/{scenario}-calibrated.png)" for scenario in parts
+    ]
+    return _section(
+        "The comparison, calibrated",
+        """
+The filter of this project: invariant error state, variances per sample, bias walks of the data
+sheet. Missions are 330 s of an AUV, with initial errors drawn from $P_0$ and the gate off. SRMSE
+and SMAE are errors of the NED velocity.
+
+*Oracle* receives the true variances at every change. *Perfect heading* is the result of the oracle
+without its heading error. *Best constant* is the best of a grid, for each metric. *Adaptive*
+filters use the innovations: `literal` as published; `floored` added to the nominal Q; `best xi`
+with the best window and nominal Q; `variational` is a variational Bayes filter with the best prior
+weight and nominal Q. *Closed form* is the variance around a polynomial of degree 5.
+""",
+        [
+            *_scenarios(documents, "calibrated"),
+            "### The gain in two parts",
+            *(_gain(document, scenario) for scenario, document in parts.items()),
+            *plots,
+        ],
+    )
+
+
+def _gain(document: Mapping[str, Any], scenario: str) -> str:
+    first, best, learned = (
+        row(document, name) for name in ("constant 0.01/0.001", "best constant", "hcf default")
+    )
+    if first is None or best is None or learned is None:
+        return _missing(scenario)
+    sentences = []
+    for metric, name in (("body_rmse", "body velocity"), ("srmse", "SRMSE")):
+        calibration = 100.0 * (1.0 - best["ratio_to"]["first constant"][metric][0])
+        adaptation = 100.0 * (1.0 - learned["ratio_to"]["best constant"][metric][0])
+        total = 100.0 * (1.0 - learned["ratio_to"]["first constant"][metric][0])
+        sentences.append(
+            f"{name} {total:.1f} %, of which {calibration:.1f} % from the first constant to the "
+            f"best one (calibration), and {adaptation:.1f} % of the rest from the best constant to "
+            "the learned process noise (adaptation)"
+        )
+    closed = learned["ratio_to"]["closed form"]
+    return (
+        f"`{scenario}`: {'; '.join(sentences)}. Learned / closed form: body velocity "
+        f"{interval(closed['body_rmse'], 4)}, SRMSE {interval(closed['srmse'], 4)}."
+    )
+
+
+def _published(documents: Documents) -> str:
+    parts = _scenarios(documents, "paper")
+    if "constant-paper" in documents:
+        parts.append(_against_zero_velocity(documents["constant-paper"]))
+        parts.append("![Errors over time, preset paper](results/constant-paper.png)")
+    parts.append(_comparison(documents, _NO_WALK, "`constant`, preset `paper-no-walk`"))
+    if _NO_WALK in documents:
+        parts.append(f"![Errors over time, without bias walks](results/{_NO_WALK}.png)")
+    return _section(
+        "The published table, attempted",
+        """
+Preset `paper` follows the published text as literally as possible: its error state and its numbers,
+variances used as densities, and bias walks of density eps = 0.001. Preset `paper-no-walk` is the
+same without bias walks. The published numbers stand next to ours; they were measured on another
+trajectory, with settings that the text leaves open.
+""",
+        parts,
+    )
+
+
+def _against_zero_velocity(document: Mapping[str, Any]) -> str:
+    zero = row(document, "zero velocity")
+    if zero is None:
+        return _missing("zero velocity")
+    filters = [r for r in document["rows"] if r["nis"] is not None]
+    worse = [r for r in filters if r["srmse"] > zero["srmse"]]
+    return (
+        f"In `constant` the SRMSE of `zero velocity` is {number(zero['srmse'], 3)} m/s; "
+        f"{len(worse)} of the {len(filters)} filters are worse."
+    )
+
+
+def _error_state_and_gate(documents: Documents) -> str:
+    parts = [
+        _comparison(documents, "varying-ned", "`varying`, error state `ned`"),
+        _comparison(
+            documents, "varying-gate", "`varying`, invariant, with the chi-square gate (0.999)"
+        ),
+    ]
+    return _section(
+        "Error state and gate",
+        """
+The same missions with the published error state in the calibrated filter, and with the gate, which
+is off in all other tables.
+""",
+        parts,
+    )
+
+
+def _window(documents: Documents) -> str:
+    document = documents.get("window")
+    return _section(
+        "Window and rate",
+        """
+One model per window length, trained alike. A variance applies until the next one is published.
+""",
+        [window_tables(document) if document else _missing("window")],
+    )
+
+
+def _vehicle(documents: Documents) -> str:
+    document = documents.get("vehicle")
+    return _section(
+        "A real vehicle",
+        """
+Recordings of a real vehicle, with noise added to the IMU. Errors are differences to the recorded
+reference. All measurements are used, as in the simulations; rows `gate on` have the gate of the
+configuration. *Told* receives the injected variances; *told with hand-set* receives them plus the
+hand-set variances, which stand for the noise of the recording itself. The learned rows are bounded
+by differences, the closed form is not.
+""",
+        [vehicle_tables(document) if document else _missing("vehicle")],
+    )

@@ -1,0 +1,164 @@
+"""The targets of the results, judged by the numbers."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from insdvl.studies.report.markdown import interval, table
+
+Documents = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Target:
+    """A target, set before the measurement.
+
+    Attributes:
+        text: The target in words.
+        measured: The number as text, and whether it meets the target; None where it is missing.
+    """
+
+    text: str
+    measured: Callable[[Documents], tuple[str, bool] | None]
+
+
+def row(document: Mapping[str, Any], approach: str) -> Mapping[str, Any] | None:
+    """A row of a comparison; None where it is missing."""
+    return next((r for r in document["rows"] if r["approach"] == approach), None)
+
+
+def _ratio(part: str, reference: str, metric: str, limit: float) -> Target:
+    """The upper end of the interval of a paired ratio of the learned model `default`."""
+
+    def measured(documents: Documents) -> tuple[str, bool] | None:
+        document = documents.get(part, {"rows": []})
+        learned, oracle = row(document, "hcf default"), row(document, "oracle")
+        if learned is None or oracle is None or reference not in learned["ratio_to"]:
+            return None
+        ratio = learned["ratio_to"][reference][metric]
+        text = interval(ratio)
+        if reference != "oracle":
+            text += f" (oracle {interval(oracle['ratio_to'][reference][metric])})"
+        return text, ratio[2] <= limit
+
+    scenario = part.removesuffix("-calibrated")
+    name = {"body_rmse": "body velocity", "srmse": "SRMSE"}[metric]
+    return Target(f"`{scenario}`: {name}, learned / {reference}, at most {limit:g}", measured)
+
+
+def _nees(part: str, block: str) -> Target:
+    def measured(documents: Documents) -> tuple[str, bool] | None:
+        if part not in documents:
+            return None
+        learned, oracle = (row(documents[part], name) for name in ("hcf default", "oracle"))
+        if learned is None or oracle is None:
+            return None
+        value, best = learned["nees_per_dof"][block], oracle["nees_per_dof"][block]
+        holds = 0.93 <= value <= 1.10 or abs(value - 1.0) <= abs(best - 1.0)
+        return f"{value:.3f} (oracle {best:.3f})", holds
+
+    scenario, words = part.removesuffix("-calibrated"), block.replace("_", " and ")
+    return Target(
+        f"`{scenario}`: NEES per degree of freedom, {words}, in [0.93, 1.10] or as good as the "
+        "oracle's",
+        measured,
+    )
+
+
+def _accuracy_of(span: str, words: str, limit: float) -> Target:
+    def measured(documents: Documents) -> tuple[str, bool] | None:
+        rows = documents.get("q-accuracy", {"rows": []})["rows"]
+        learned = next((r for r in rows if r["estimator"] == "hcf default"), None)
+        if learned is None:
+            return None
+        error = learned["auv"][span]["all"]["relative_rmse"]
+        return f"{100.0 * error:.1f} %", error <= limit
+
+    return Target(f"relative RMSE of q, {words}, at most {100.0 * limit:.1f} %", measured)
+
+
+def _injected(reference: str, limit: float) -> Target:
+    def measured(documents: Documents) -> tuple[str, bool] | None:
+        if "vehicle" not in documents:
+            return None
+        ratios = documents["vehicle"]["injections"]["sensor"]["ratio_to"][reference]
+        ratio = ratios["hcf default"]["body_velocity_rmse"]
+        return interval(ratio), ratio[0] <= limit
+
+    return Target(
+        f"recordings with injected noise: body velocity, learned / {reference}, paired mean at "
+        f"most {limit:g}",
+        measured,
+    )
+
+
+def _harmless(metric: str, words: str) -> Target:
+    """At most 2 % worse on the mean of the recordings, and 5 % on each."""
+
+    def measured(documents: Documents) -> tuple[str, bool] | None:
+        if "vehicle" not in documents:
+            return None
+        rows = documents["vehicle"]["as_recorded"]["rows"]
+        learned, hand_set = (rows[name][metric] for name in ("hcf default", "hand-set"))
+        each = {name: learned[name] / hand_set[name] for name in learned if name != "mean"}
+        mean = documents["vehicle"]["as_recorded"]["ratio_to"]["hand-set"]["hcf default"][metric][0]
+        worst = max(each, key=each.__getitem__)
+        text = f"{mean:.3f}; largest {each[worst]:.3f} ({worst})"
+        return text, mean <= 1.02 and each[worst] <= 1.05
+
+    return Target(
+        f"recordings as they are: {words}, learned / hand-set, at most 1.02 on the mean and 1.05 "
+        "on each",
+        measured,
+    )
+
+
+TARGETS = (
+    _accuracy_of("in range", "in the range of the training", 0.104),
+    _accuracy_of("1/1000", "at variances 1000 times smaller", 0.11),
+    _accuracy_of("x 10", "at variances 10 times larger", 0.11),
+    *(
+        _ratio(f"{scenario}-calibrated", "oracle", metric, limit)
+        for scenario, limit in (
+            ("constant", 1.01),
+            ("constant-tableI", 1.01),
+            ("varying", 1.01),
+            ("wide", 1.02),
+        )
+        for metric in ("body_rmse", "srmse")
+    ),
+    *(
+        _ratio(f"{scenario}-calibrated", reference, metric, limit)
+        for scenario, limit in (("varying", 0.98), ("wide", 0.90))
+        for reference, metric in (
+            ("best constant", "body_rmse"),
+            ("best constant", "srmse"),
+            ("best constant for SRMSE", "srmse"),
+        )
+    ),
+    _ratio("varying-calibrated", "first constant", "srmse", 0.80),
+    *(
+        _nees(f"{scenario}-calibrated", block)
+        for scenario in ("varying", "wide")
+        for block in ("velocity", "attitude", "velocity_attitude")
+    ),
+    _injected("told", 1.02),
+    _injected("best constant", 0.85),
+    _harmless("body_velocity_rmse", "body velocity"),
+    _harmless("velocity_rmse", "NED velocity"),
+    _harmless("position_rmse_horizontal", "horizontal position"),
+)
+
+
+def targets_table(documents: Documents) -> str:
+    """The table of all targets, with a verdict where the numbers are there."""
+    body = []
+    for target in TARGETS:
+        found = target.measured(documents)
+        value, met = ("not computed", "") if found is None else (found[0], _verdict(found[1]))
+        body.append([target.text, value, met])
+    return table(["target", "measured", "met"], body)
+
+
+def _verdict(met: bool) -> str:
+    return "yes" if met else "**no**"

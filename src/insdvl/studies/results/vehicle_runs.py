@@ -1,0 +1,191 @@
+"""Runs of the study on recordings: one recording with one draw of noise, through all filters.
+
+The samples of a recording get additional noise of known variances, and every row filters the same
+noisy samples: rows differ in the process noise only. Errors are against the recorded reference, at
+its stamps.
+
+Rows: `told` receives the injected variances; `told with hand-set` receives their sum with the
+hand-set variances of the configuration, which are the noise of the recording itself; the learned
+rows and the closed form see the samples only; `hand-set` is the configuration as it is;
+`best constant` is the best of a grid. All measurements are used, as in the simulations; the rows
+`..., gate on` have the gate of the configuration.
+"""
+
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from insdvl.arrays import Array, Stamps
+from insdvl.navigation.events import NS, ProcessNoise
+from insdvl.navigation.parameters import FilterParameters
+from insdvl.recordings.bags import BagError
+from insdvl.studies.replay.command import Injection, changes, errors_of
+from insdvl.studies.results.recordings import Recording, Settings, stream_axes
+from insdvl.timeline.output import FoldResult
+from insdvl.timeline.recorded import fold_arrays
+from insdvl.tuner.features.closed_form import degree_5
+from insdvl.tuner.features.differences import bounded
+from insdvl.tuner.models import Model
+from insdvl.tuner.offline import Estimator, tuned
+
+Limits = tuple[tuple[float, float], tuple[float, float]]
+#: Stamps (K,) from which on variances (K, 6) apply.
+Received = tuple[Stamps, Array]
+
+#: Smallest and largest injected variance of the accelerometers and of the gyroscopes.
+INJECTIONS: dict[str, Limits] = {
+    "sensor": ((1e-5, 0.05), (1e-7, 5e-4)),
+    "published": ((1e-3, 0.05), (1e-3, 0.05)),
+}
+#: Numbers of `errors_of` in the study, and their names in tables.
+METRICS = {
+    "body_velocity_rmse": "body velocity [m/s]",
+    "velocity_rmse": "NED velocity [m/s]",
+    "position_rmse_horizontal": "horizontal position [m]",
+    "heading_rmse_deg": "heading [deg]",
+    "tilt_rmse_deg": "tilt [deg]",
+    "nis_mean": "NIS",
+    "body_velocity_inside_3_sigma": "inside 3 sigma",
+}
+#: The errors among them, which have ratios.
+ERRORS = tuple(METRICS)[:5]
+
+TOLD, TOLD_WITH_NOMINAL = "told", "told with hand-set"
+CLOSED_FORM, HAND_SET, BEST_CONSTANT = "closed form", "hand-set", "best constant"
+GATE_ON = ", gate on"  # of a row's name
+WINDOW = 200  # samples of the closed form
+
+TUNING, TEST = 0, 1  # roles of a seed
+
+
+def injection(recording: Recording, limits: Limits, seed: int, role: int, index: int) -> Injection:
+    """Noise of one run, different for each recording, as `insdvl replay` would inject it."""
+    key = (role, zlib.crc32(recording.name.encode()), index)
+    drawn = np.random.SeedSequence(seed, spawn_key=key).generate_state(1)[0]
+    return Injection(*limits, seed=int(drawn))
+
+
+def filtered(
+    settings: Settings,
+    recording: Recording,
+    samples: Array,
+    parameters: FilterParameters,
+    received: Received | None = None,
+) -> FoldResult:
+    """A recording through the filter.
+
+    Args:
+        settings: Settings of the study.
+        recording: All but the samples of the IMU.
+        samples: (N, 6) samples of the IMU, in the axes of the stream.
+        parameters: Parameters of the filter.
+        received: Process noise, for a filter that receives it.
+    """
+    events = list(recording.events)
+    if received is not None:
+        events += [
+            ProcessNoise(int(stamp_ns), np.diag(q[:3]), np.diag(q[3:]))
+            for stamp_ns, q in zip(*received, strict=True)
+        ]
+    frd = samples @ stream_axes(settings)
+    return fold_arrays(parameters, recording.stamps_ns, frd[:, :3], frd[:, 3:], events)
+
+
+def _numbers(recording: Recording, result: FoldResult) -> Array:
+    """The METRICS of a run."""
+    errors = errors_of(result, recording.truth_ns, recording.truth)
+    if errors["reference_stamps"] < 2:
+        raise BagError(
+            f"{recording.name}: the filter has a state at fewer than 2 stamps of the reference"
+        )
+    return np.array([errors[name] for name in METRICS], dtype=float)
+
+
+@dataclass(frozen=True)
+class Shared:
+    """Data that all runs need.
+
+    Attributes:
+        settings: Settings of the study.
+        recordings: Recordings by name.
+        models: Models of the learned rows.
+    """
+
+    settings: Settings
+    recordings: Mapping[str, Recording]
+    models: Mapping[str, Model]
+
+
+def learned(shared: Shared, recording: Recording, samples: Array) -> dict[str, Received]:
+    """Output of a tuner with each model, and with the closed form without a bound."""
+    tuner = shared.settings.tuner
+    estimators: dict[str, tuple[Estimator, int]] = {
+        row: (bounded(model.variances, tuner.difference_order), model.window)
+        for row, model in shared.models.items()
+    }
+    estimators[CLOSED_FORM] = degree_5, WINDOW
+    return {
+        row: tuned(
+            recording.stamps_ns, samples, estimate, window, tuner.rate, round(tuner.max_gap * NS)
+        )
+        for row, (estimate, window) in estimators.items()
+    }
+
+
+@dataclass(frozen=True)
+class NoisyRun:
+    """A recording with the noise of one seed.
+
+    Attributes:
+        recording: Name of the recording.
+        injection: Injected noise; None for the recording as it is.
+        constants: Constant variances of the two triads by row.
+    """
+
+    recording: str
+    injection: Injection | None
+    constants: Mapping[str, tuple[float, float]]
+
+
+def constant_run(shared: Shared, task: NoisyRun) -> dict[str, Array]:
+    """The METRICS of each constant."""
+    settings, recording = shared.settings, shared.recordings[task.recording]
+    samples, _ = _noisy(recording, task.injection)
+    return {
+        row: _numbers(recording, filtered(settings, recording, samples, settings.constant(q)))
+        for row, q in task.constants.items()
+    }
+
+
+def all_rows(shared: Shared, task: NoisyRun) -> dict[str, Array]:
+    """The METRICS of each row."""
+    settings, recording = shared.settings, shared.recordings[task.recording]
+    samples, true = _noisy(recording, task.injection)
+    received = learned(shared, recording, samples)
+    if true is not None:
+        stamps_ns, q = true
+        received |= {TOLD: true, TOLD_WITH_NOMINAL: (stamps_ns, q + settings.nominal)}
+    constants = {HAND_SET: None, **task.constants}
+    rows = {}
+    # Without injected noise the gate has nothing to reject.
+    gates = {False: ""} if true is None else {False: "", True: GATE_ON}
+    for gate, suffix in gates.items():
+        filters: list[tuple[str, FilterParameters, Received | None]] = [
+            (row, settings.external(gate=gate), q) for row, q in received.items()
+        ]
+        filters += [(row, settings.constant(q, gate=gate), None) for row, q in constants.items()]
+        for row, parameters, process_noise in filters:
+            result = filtered(settings, recording, samples, parameters, process_noise)
+            rows[row + suffix] = _numbers(recording, result)
+    return rows
+
+
+def _noisy(recording: Recording, injected: Injection | None) -> tuple[Array, Received | None]:
+    """The samples with the injected noise, and its variances as a filter receives them."""
+    if injected is None:
+        return recording.samples, None
+    q, noise = injected.draw(recording.stamps_ns)
+    at, stamps_ns = np.array(changes(recording.stamps_ns, q)).T
+    return recording.samples + noise, (stamps_ns, q[at])
