@@ -32,9 +32,11 @@ from insdvl.timeline.output import AppliedUpdate
 from insdvl.timeline.state_file import StateFile
 from insdvl.watch.alignment import FrameCheck
 from ros_insdvl.conversions import fill_bias, fill_innovation, fill_odometry
-from ros_insdvl.diagnostics import Status, View
-from ros_insdvl.filter_status import FilterWatch
-from ros_insdvl.node import InsdvlNode, command_qos, run, sensor_qos
+from ros_insdvl.execution import run_node
+from ros_insdvl.node import InsdvlNode
+from ros_insdvl.qos import command_qos, sensor_qos
+from ros_insdvl.status.diagnostics import Status, View
+from ros_insdvl.status.filter.watch import FilterWatch
 
 #: Message class of each type that is taken.
 TYPES = {
@@ -238,7 +240,7 @@ class FilterNode(InsdvlNode[FilterParameters]):
 
 def main() -> int:
     """Run the node until it is interrupted."""
-    return run(FilterNode)
+    return run_node(FilterNode)
 
 
 if __name__ == "__main__":

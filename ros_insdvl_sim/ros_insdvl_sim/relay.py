@@ -15,8 +15,10 @@ from typing import Any
 from insdvl.parameters.declaration import ParameterError
 from insdvl.recordings import bags
 from insdvl.studies.faults.link import RelayParameters, links
-from ros_insdvl.diagnostics import Status, View
-from ros_insdvl.node import InsdvlNode, latched_qos, run
+from ros_insdvl.execution import run_node
+from ros_insdvl.node import InsdvlNode
+from ros_insdvl.qos import latched_qos
+from ros_insdvl.status.diagnostics import Status, View
 from ros_insdvl_sim.replay import TYPES
 
 #: Type of each topic that can be sent on.
@@ -136,7 +138,7 @@ def _check(topics: tuple[str, ...]) -> None:
 
 def main() -> None:
     """Run the node until it is interrupted."""
-    sys.exit(run(Relay))
+    sys.exit(run_node(Relay))
 
 
 if __name__ == "__main__":

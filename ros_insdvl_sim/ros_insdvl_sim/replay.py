@@ -13,8 +13,9 @@ from insdvl.parameters.declaration import ParameterError
 from insdvl.recordings import bags
 from insdvl.recordings.bags import BagError, BagReader
 from insdvl.recordings.parameters import ReplayParameters
-from ros_insdvl.diagnostics import Status, View
-from ros_insdvl.node import latched_qos, run
+from ros_insdvl.execution import run_node
+from ros_insdvl.qos import latched_qos
+from ros_insdvl.status.diagnostics import Status, View
 from ros_insdvl_sim.player import Player
 
 TYPES = {
@@ -78,7 +79,7 @@ class Replay(Player[ReplayParameters]):
 
 def main() -> None:
     """Run the node until the recording is played and all of it has arrived."""
-    sys.exit(run(Replay))
+    sys.exit(run_node(Replay))
 
 
 if __name__ == "__main__":

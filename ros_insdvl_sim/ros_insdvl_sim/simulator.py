@@ -24,8 +24,8 @@ from ros_insdvl.conversions import (
     set_vector,
     time_of,
 )
-from ros_insdvl.diagnostics import Status, View
-from ros_insdvl.node import run
+from ros_insdvl.execution import run_node
+from ros_insdvl.status.diagnostics import Status, View
 from ros_insdvl_sim.player import Player
 
 Timeline = Iterator[tuple[int, str, Any]]
@@ -172,7 +172,7 @@ class Simulator(Player[SimulatorParameters]):
 
 def main() -> None:
     """Run the node until the mission is over and all of it has arrived."""
-    sys.exit(run(Simulator))
+    sys.exit(run_node(Simulator))
 
 
 if __name__ == "__main__":
