@@ -5,7 +5,8 @@ from math import inf
 
 import numpy as np
 
-from insdvl.messages.inputs import Q_TOPICS, Inputs
+from insdvl.messages.inputs import Inputs
+from insdvl.messages.topics import Q_TOPICS
 from insdvl.navigation.events import NS, Event, Imu
 from insdvl.navigation.odometry import Odometry
 from insdvl.navigation.parameters import FilterParameters

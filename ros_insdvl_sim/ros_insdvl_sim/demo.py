@@ -34,7 +34,8 @@ from insdvl import files
 from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.frames import ENU, rpy_from_rotation
 from insdvl.navigation.parameters import FilterParameters
-from insdvl.recordings.bags import BagWriter, Raw
+from insdvl.recordings.bag_writer import BagWriter
+from insdvl.recordings.base import Raw
 from insdvl.simulation.trajectories import trajectory_named
 from insdvl.studies.evaluation import plots
 from insdvl.studies.evaluation.metrics import Scores, Track, scores

@@ -23,7 +23,7 @@ from sensor_msgs.msg import Imu
 from insdvl.navigation.events import NS
 from insdvl.parameters.declaration import flatten
 from insdvl.studies.faults.flight import parameters_of
-from insdvl.studies.faults.rows import LEVELLING
+from insdvl.studies.faults.rows.base import LEVELLING
 from insdvl.studies.faults.stream import Sensors, stream_of
 from ros_insdvl_sim.harness import (
     DVL,

@@ -23,6 +23,7 @@ from std_srvs.srv import Trigger
 
 from insdvl import files
 from insdvl.messages import convert as messages
+from insdvl.messages.make import flat_covariance, set_quaternion, set_vector
 from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.frames import ENU
 from insdvl.navigation.odometry import odometry
@@ -32,7 +33,7 @@ from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import SCENARIOS
 from insdvl.simulation.trajectories import trajectory_named
 from insdvl.timeline.recorded import fold_arrays
-from ros_insdvl.conversions import flat_covariance, set_quaternion, set_vector, time_of
+from ros_insdvl.conversions import time_of
 from ros_insdvl.filter import FilterNode
 
 START_NS = 1_700_000_000_250_000_000

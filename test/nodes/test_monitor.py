@@ -14,8 +14,9 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu
 
+from insdvl.messages.make import flat_covariance, set_vector
 from insdvl.navigation.events import NS
-from ros_insdvl.conversions import flat_covariance, set_vector, time_of
+from ros_insdvl.conversions import time_of
 from ros_insdvl.monitor import Monitor, OdometrySeries
 
 RELIABLE = QoSProfile(depth=2000, reliability=ReliabilityPolicy.RELIABLE)

@@ -17,8 +17,9 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu
 
 from insdvl.messages.convert import stamp_ns
+from insdvl.messages.make import set_vector
 from insdvl.navigation.events import NS
-from ros_insdvl.conversions import set_vector, time_of
+from ros_insdvl.conversions import time_of
 
 START_NS = 1_700_000_000_000_000_000
 DEADLINE = 120.0  # s; far beyond what any of these waits takes

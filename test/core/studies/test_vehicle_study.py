@@ -12,7 +12,7 @@ from recordings import record, save
 from insdvl import cli
 from insdvl.jobs import parallel
 from insdvl.jobs.parallel import Workers
-from insdvl.recordings.bags import BagError
+from insdvl.recordings.base import BagError
 from insdvl.simulation.mission import simulate
 from insdvl.simulation.noise import constant
 from insdvl.simulation.trajectories import BASELINE

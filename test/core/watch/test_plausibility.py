@@ -16,7 +16,8 @@ from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.mission import ImuModel, Mission, simulate
 from insdvl.simulation.noise import SCENARIOS, constant
 from insdvl.simulation.trajectories import AUV, BASELINE, LOOP, STATIC
-from insdvl.studies.replay.command import fold_recording, report
+from insdvl.studies.replay.fold import fold_recording
+from insdvl.studies.replay.scores import report
 from insdvl.watch import alignment as plausibility
 from insdvl.watch.alignment import FrameCheck
 

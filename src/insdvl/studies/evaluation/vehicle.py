@@ -18,10 +18,9 @@ have the gate of the configuration.
 import hashlib
 import pickle
 import zlib
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import chain, product
 from pathlib import Path
 from typing import Any
 
@@ -30,26 +29,20 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from insdvl.jobs.parallel import Pool, Store
-from insdvl.messages.inputs import Inputs
+from insdvl.messages.feed import Feed
 from insdvl.navigation.events import NS, Event, Imu, ProcessNoise
 from insdvl.navigation.geometry.frames import CONVENTIONS
 from insdvl.navigation.parameters import FilterParameters, ProcessNoiseParameters
 from insdvl.parameters.declaration import flatten
 from insdvl.parameters.sections import load_section
-from insdvl.recordings.bags import BagError
+from insdvl.recordings.base import BagError
 from insdvl.recordings.parameters import ReplayParameters
 from insdvl.studies.evaluation import statistics
 from insdvl.studies.evaluation.metrics import Track
 from insdvl.studies.evaluation.tables import interval, number, table
-from insdvl.studies.replay.command import (
-    Injection,
-    changes,
-    errors_of,
-    read,
-    recorded_events,
-    truth_of,
-)
-from insdvl.timeline.fold import Fold
+from insdvl.studies.replay.fold import feed_recording, read
+from insdvl.studies.replay.injection import Injection, announcements
+from insdvl.studies.replay.scores import errors_of, truth_of
 from insdvl.timeline.output import FoldResult
 from insdvl.timeline.recorded import fold_arrays
 from insdvl.tuner.features.closed_form import degree_5
@@ -177,13 +170,10 @@ def load(path: Path, settings: Settings) -> Recording:
         BagError: It cannot be read, lacks something, or its stamps do not increase.
     """
     messages = read(path, settings.replay)
-    rejected: Counter[str] = Counter()
     stamps: list[int] = []
     samples, others = [], []
-    parameters = settings.constant()
-    inputs, fold = Inputs(parameters), Fold(parameters)
-    for _, event in recorded_events(messages, inputs, fold, rejected):
-        fold.add(event)
+    feed = Feed(settings.constant())
+    for event, _ in chain.from_iterable(feed_recording(messages, feed)):
         if isinstance(event, Imu):
             stamps.append(event.stamp_ns)
             samples.append(np.concatenate([event.f_b, event.w_ib_b]))
@@ -202,7 +192,7 @@ def load(path: Path, settings: Settings) -> Recording:
         tuple(others),
         truth_ns,
         truth,
-        rejected,
+        {str(key): count for key, count in feed.refused.items()},
     )
 
 
@@ -381,7 +371,7 @@ def _noisy(recording: Recording, injected: Injection | None) -> tuple[Array, Tol
     if injected is None:
         return recording.samples, None
     q, noise = injected.draw(recording.stamps_ns)
-    at, stamps_ns = np.array(changes(recording.stamps_ns, q)).T
+    at, stamps_ns = np.array(announcements(recording.stamps_ns, q)).T
     return recording.samples + noise, (stamps_ns, q[at])
 
 
