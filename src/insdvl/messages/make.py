@@ -16,6 +16,10 @@ from insdvl.navigation.events import NS
 
 #: Covariance of a quantity that a message does not carry (REP-145).
 NOT_MEASURED = np.array([-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+#: Flat covariances that are not known, by the number of rows.
+_UNKNOWN = {rows: np.zeros(rows * rows) for rows in (3, 6)}
+for _shared in (NOT_MEASURED, *_UNKNOWN.values()):  # by all messages
+    _shared.setflags(write=False)
 
 
 def set_stamp(message: Any, stamp_ns: int) -> None:
@@ -49,7 +53,7 @@ def flat_covariance(P: ArrayLike | None, rows: int) -> Array:
         ValueError: The value has another size.
     """
     if P is None:
-        return np.zeros(rows * rows)
+        return _UNKNOWN[rows]
     flat = np.ascontiguousarray(P, dtype=np.float64).ravel()
     if flat.size != rows * rows:
         raise ValueError(f"a covariance must have {rows * rows} values, got {flat.size}")
@@ -144,4 +148,5 @@ def _floats(value: ArrayLike, size: int) -> list[float]:
     array = np.asarray(value, dtype=np.float64)
     if array.shape != (size,):
         raise ValueError(f"{size} values are required, got shape {array.shape}")
-    return list(array.tolist())
+    values: list[float] = array.tolist()
+    return values

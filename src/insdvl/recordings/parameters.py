@@ -43,6 +43,6 @@ class ReplayParameters:
     )
     further_topics: tuple[str, ...] = parameter(
         ("",),
-        "Further topics that are played under their own names, such as depth.topic of the filter; "
-        "an empty name is none.",
+        "Further topics that are played under their own names: those that parameters of the filter "
+        "name. An empty name is none.",
     )
