@@ -1,7 +1,7 @@
 """The node `insdvl_filter`: IMU, DVL and process noise in, odometry out.
 
-Data driven: each message becomes an event, and what the fold of all events makes publishable is
-published. Nothing numerical depends on a timer or on the clock.
+Data driven: each message becomes events, and what the fold of all events makes publishable is
+published. No number depends on a timer or on the clock.
 """
 
 import sys
@@ -12,13 +12,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import TwistStamped, TwistWithCovarianceStamped
+from geometry_msgs.msg import TwistWithCovarianceStamped
 from nav_msgs.msg import Odometry
-from sensor_msgs.msg import Imu, NavSatFix
+from rclpy.clock import Clock, ClockType
+from sensor_msgs.msg import Imu
 from std_srvs.srv import Trigger
 
-from insdvl.messages import inputs
-from insdvl.messages.inputs import Q_TOPICS, Inputs
+from insdvl.messages.feed import Feed
+from insdvl.messages.make import fill_imu, fill_odometry, fill_twist
+from insdvl.messages.topics import Topic
 from insdvl.navigation.events import NS, Event, ProcessNoise
 from insdvl.navigation.events import Imu as ImuSample
 from insdvl.navigation.geometry.frames import CONVENTIONS
@@ -31,23 +33,14 @@ from insdvl.timeline.jumps import TimeJump
 from insdvl.timeline.output import AppliedUpdate
 from insdvl.timeline.state_file import StateFile
 from insdvl.watch.alignment import FrameCheck
-from ros_insdvl.conversions import fill_bias, fill_innovation, fill_odometry
+from ros_insdvl.conversions import message_class
 from ros_insdvl.execution import run_node
 from ros_insdvl.node import InsdvlNode
 from ros_insdvl.qos import command_qos, sensor_qos
 from ros_insdvl.status.diagnostics import Status, View
 from ros_insdvl.status.filter.watch import FilterWatch
 
-#: Message class of each type that is taken.
-TYPES = {
-    inputs.IMU: Imu,
-    inputs.FIX: NavSatFix,
-    inputs.TWIST: TwistStamped,
-    inputs.TWIST_WITH_COVARIANCE: TwistWithCovarianceStamped,
-    inputs.ODOMETRY: Odometry,
-}
-#: Topics on which single messages have to arrive.
-COMMANDS = ("set_odometry", *Q_TOPICS.values())
+DISCOVERY_PERIOD = 0.5  # s of the steady clock between two looks for the type of a topic
 
 
 def compile_kernels(parameters: FilterParameters) -> None:
@@ -84,14 +77,14 @@ def compile_kernels(parameters: FilterParameters) -> None:
 class FilterNode(InsdvlNode[FilterParameters]):
     """The filter as a node."""
 
-    single_inputs = ("imu/data_raw", "dvl/velocity", "dvl/velocity_cov", *Q_TOPICS.values())
-
     def __init__(self, **options: Any) -> None:
         super().__init__("insdvl_filter", FilterParameters, **options)
         parameters = self.parameters
         compile_kernels(parameters)
-        self._fold = Fold(parameters)
-        self._inputs = Inputs(parameters)
+        self._feed = Feed(parameters, on_refused=self.reject)
+        self._fold, self._inputs = self._feed.fold, self._feed.inputs
+        topics = self._inputs.topics
+        self.single_inputs = tuple(name for name, topic in topics.items() if topic.single)
         self._convention = CONVENTIONS[parameters.frame_convention]
         self._state_file = self._resume()
         self._watch = FilterWatch(parameters, self._inputs, self._fold, self._state_file)
@@ -107,7 +100,11 @@ class FilterNode(InsdvlNode[FilterParameters]):
 
         self._bias_second: int | None = None
         self.create_service(Trigger, "~/reset", self._reset)
+        self._mistyped: set[str] = set()  # topics of which no publisher has an accepted type
         self._listen()
+        if self._undiscovered:
+            steady = Clock(clock_type=ClockType.STEADY_TIME)
+            self.create_timer(DISCOVERY_PERIOD, self._discover, clock=steady)
         self.start_diagnostics()
 
     def _resume(self) -> StateFile | None:
@@ -132,21 +129,40 @@ class FilterNode(InsdvlNode[FilterParameters]):
         return f"the filter starts as initial.mode says, '{self.parameters.initial.mode}'"
 
     def _listen(self) -> None:
-        for topic, kind in self._inputs.topics.items():
-            if topic not in self.inputs:
-                self.listen(
-                    TYPES[kind],
-                    topic,
-                    partial(self._receive, topic),
-                    command_qos() if topic in COMMANDS else sensor_qos(),
+        """Subscribe to the inputs; one that may have several types when its type is known."""
+        self._undiscovered: dict[str, Topic] = {}
+        for name, topic in self._inputs.topics.items():
+            if name in self.inputs:
+                continue
+            if len(topic.types) > 1:
+                self._undiscovered[name] = topic
+            else:
+                self._subscribe(name, topic, topic.types[0])
+        self._discover()
+
+    def _subscribe(self, name: str, topic: Topic, kind: str) -> None:
+        qos = command_qos() if topic.command else sensor_qos()
+        self.listen(message_class(kind), name, partial(self._receive, name), qos)
+
+    def _discover(self) -> None:
+        """Subscribe to the topics whose publishers show by now which type they have."""
+        for name, topic in list(self._undiscovered.items()):
+            found = {info.topic_type for info in self.get_publishers_info_by_topic(name)}
+            accepted = [kind for kind in topic.types if kind in found]
+            if accepted:
+                del self._undiscovered[name]
+                self._subscribe(name, topic, accepted[0])
+            elif found and name not in self._mistyped:
+                self._mistyped.add(name)
+                self.get_logger().warning(
+                    f"{name} is not received: it has type {', '.join(sorted(found))}, expected one "
+                    f"of {', '.join(topic.types)}"
                 )
 
     def _receive(self, topic: str, message: Any) -> None:
         try:
-            for event in self._inputs.events(topic, message, self._fold):
-                refusal = self._fold.add(event)
+            for event, refusal in self._feed.give(topic, message):
                 if refusal is not None:
-                    self.reject(topic, refusal, f"{refusal}: stamp {event.stamp_ns} ns")
                     continue
                 self._watch.took(event)
                 if isinstance(event, ImuSample):
@@ -172,14 +188,31 @@ class FilterNode(InsdvlNode[FilterParameters]):
                 self._publish_state(output)
 
     def _publish_state(self, output: FilterOdometry) -> None:
-        fill_odometry(self._odometry_message, output)
+        fill_odometry(
+            self._odometry_message,
+            output.stamp_ns,
+            output.position,
+            output.quaternion_xyzw,
+            output.twist_linear,
+            output.twist_angular,
+            output.pose_covariance,
+            output.twist_covariance,
+        )
         self._odometry.send(self._odometry_message)
         self._watch.published(output, self.get_clock().now().nanoseconds)
         second = output.stamp_ns // NS
         state = self._fold.latest  # none where the output is the last of a time that was left
         if second != self._bias_second and state is not None:
             self._bias_second = second
-            fill_bias(self._bias_message, biases(self._fold.filter, state))
+            bias = biases(self._fold.filter, state)
+            fill_imu(
+                self._bias_message,
+                bias.stamp_ns,
+                bias.accelerometer,
+                bias.gyroscope,
+                bias.accelerometer_covariance,
+                bias.gyroscope_covariance,
+            )
             self._bias.send(self._bias_message)
 
     def _follow(self, jump: TimeJump) -> None:
@@ -195,7 +228,6 @@ class FilterNode(InsdvlNode[FilterParameters]):
         """Forget what is kept here by stamps."""
         self._bias_second = None
         self._watch.reset()
-        self._inputs.reset()
         self._listen()
 
     def _publish_update(self, update: AppliedUpdate) -> None:
@@ -207,7 +239,7 @@ class FilterNode(InsdvlNode[FilterParameters]):
         if not report.accepted:
             self.reject("dvl", report.reason, f"{report.reason}: NIS {report.nis:.1f}")
         axes = self._convention.body
-        fill_innovation(
+        fill_twist(
             self._innovation_message,
             update.stamp_ns,
             axes @ report.innovation,
@@ -216,7 +248,7 @@ class FilterNode(InsdvlNode[FilterParameters]):
         self._innovation.send(self._innovation_message)
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._fold.reset()
+        self._feed.reset()
         self._begin_time()
         if self._state_file is not None:
             self._state_file.remove()

@@ -1,30 +1,28 @@
 """The node `insdvl_tuner`: IMU in, the process noise learned from its last samples out.
 
-Data driven: the schedule follows from the stamps (see `insdvl.tuner.tuner`). What is published is
-the sample that closes the window, with its learned covariances: a plain Imu that any consumer may
-use in place of the driver's.
+Data driven: the schedule follows from the stamps (see `insdvl.tuner.tuner`). The node publishes the
+sample that closes the window with its learned covariances: a plain Imu that any consumer may use in
+place of the driver's.
 """
 
 import sys
 from collections import Counter
 from typing import Any
 
-import numpy as np
 from sensor_msgs.msg import Imu
 from std_srvs.srv import SetBool
 
-from insdvl.messages import convert as messages
-from insdvl.navigation.geometry.frames import NED
+from insdvl.messages.topics import IMU, PROCESS_NOISE
 from insdvl.parameters.declaration import ParameterError
 from insdvl.tuner.models import ModelError
 from insdvl.tuner.parameters import TunerParameters
+from insdvl.tuner.republish import set_learned, tune
 from insdvl.tuner.tuner import TunedNoise, Tuner
-from ros_insdvl.conversions import NOT_MEASURED, flat_covariance
 from ros_insdvl.execution import run_node
 from ros_insdvl.node import InsdvlNode
 from ros_insdvl.qos import latched_qos
 from ros_insdvl.status.diagnostics import Status, View
-from ros_insdvl.status.tuner.imu import IMU, imu_status
+from ros_insdvl.status.tuner.imu import imu_status
 from ros_insdvl.status.tuner.process_noise import Learned
 
 
@@ -49,21 +47,17 @@ class TunerNode(InsdvlNode[TunerParameters]):
             raise
         self._latest: TunedNoise | None = None
         self._learned = Learned(self._tuner, self.parameters.rate, self.parameters.max_gap)
-        self._process_noise = self.advertise(Imu, "process_noise", latched_qos())
+        self._process_noise = self.advertise(Imu, PROCESS_NOISE, latched_qos())
         self.create_service(SetBool, "~/enable", self._enable)
         self.listen(Imu, IMU, self._on_imu)
         self.start_diagnostics()
 
     def _on_imu(self, message: Imu) -> None:
-        # A channel's variance is the same whichever way the axes point: none is turned.
-        sample = messages.imu(message, NED)
-        tuned = self._tuner.add(sample.stamp_ns, np.concatenate([sample.f_b, sample.w_ib_b]))
+        tuned = tune(self._tuner, message)
         if tuned is None:
             return
         self._latest = tuned
-        message.linear_acceleration_covariance = flat_covariance(np.diag(tuned.variances[:3]), 3)
-        message.angular_velocity_covariance = flat_covariance(np.diag(tuned.variances[3:]), 3)
-        message.orientation_covariance = NOT_MEASURED
+        set_learned(message, tuned)
         self._process_noise.send(message)
 
     def _enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:

@@ -1,9 +1,9 @@
-"""What the simulator and the replay share: a node that plays messages at the pace of their stamps.
+"""What simulator and replay share: a node that plays messages at the pace of their stamps.
 
-Messages are sent from a thread of their own, by the steady clock: in real time each when it is due,
-faster than that in short bursts, since waking the consumers for every message would cost more than
-the messages. A player that was held up for a moment catches up; one that is too slow for its pace
-falls behind it, and never skips a message.
+A thread of its own sends the messages by the steady clock: in real time each when it is due, faster
+than that in short bursts, since waking the subscribers for every message would cost more than the
+messages. After a short delay a player catches up; one that is too slow for its pace falls behind.
+It never skips a message.
 """
 
 import math
@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 from rclpy.duration import Duration
 from rosgraph_msgs.msg import Clock
 
+from insdvl.messages.topics import IMU
 from insdvl.navigation.events import NS
 from ros_insdvl.conversions import time_of
 from ros_insdvl.endpoints import Output
@@ -26,8 +27,8 @@ _Group = TypeVar("_Group")
 
 CLOCK_PERIOD = 0.02  # s of the steady clock between messages on /clock
 BURST_PERIOD = 0.02  # s of the steady clock between bursts, where there is a rate_factor
-SETTLE_TIME = 1.0  # s without a new subscription after which all have been discovered
-MAX_LAG = 0.1  # s behind the pace that is caught up
+SETTLE_TIME = 1.0  # s without a new subscriber after which all have been discovered
+MAX_LAG = 0.1  # s behind the pace that are caught up
 ACKNOWLEDGE_TIME = 30.0  # s to wait for the last messages to arrive
 
 
@@ -37,13 +38,13 @@ class Player(InsdvlNode[_Group]):
     def start_playing(
         self, *, rate_factor: float, min_subscribers: int, exclusive_wait: float = 0.0
     ) -> None:
-        """Play in a thread, when the consumers are there.
+        """Play in a thread as soon as the subscribers are there.
 
         Args:
-            rate_factor: Speed against the stamps, with /clock; 0 is real time without /clock.
-            min_subscribers: Subscriptions of imu/data_raw to wait for.
-            exclusive_wait: How long to look for another publisher of imu/data_raw [s]. Where there
-                is one, nothing is sent and the node finishes with exit code 1.
+            rate_factor: Speed relative to the stamps, with /clock; 0 is real time without /clock.
+            min_subscribers: Number of subscribers of imu/data_raw to wait for.
+            exclusive_wait: How long to look for another publisher of imu/data_raw [s]. If there is
+                one, nothing is sent and the node finishes with exit code 1.
         """
         self._rate = rate_factor or 1.0
         self._burst_period = BURST_PERIOD if rate_factor else 0.0
@@ -56,13 +57,13 @@ class Player(InsdvlNode[_Group]):
 
     @abstractmethod
     def timeline(self) -> Iterator[tuple[int, str, Any]]:
-        """Time [ns], topic and message of all there is to send; times do not decrease.
+        """Time [ns], topic and message of all that is to be sent; times do not decrease.
 
-        It is asked for when the consumers are there. The first time is when playing begins.
+        It is called when the subscribers are there. The first time is that at which playing begins.
         """
 
     def destroy_node(self) -> None:
-        """Stop playing, then take the node down."""
+        """Stop playing and destroy the node."""
         if hasattr(self, "_thread"):
             self._stop.set()
             self._thread.join()
@@ -73,30 +74,28 @@ class Player(InsdvlNode[_Group]):
             if self._wait_for_graph() and self._send_all():
                 self._finish_when_arrived()
         except Exception as error:  # an exception in a thread would end nothing
-            if self.context.ok():  # else an interrupt has taken the middleware away
+            if self.context.ok():  # else an interrupt has shut the middleware down
                 print(f"{self.get_name()} failed: {error!r}", file=sys.stderr)
                 self.finish(1)
 
     def _wait_for_graph(self) -> bool:
-        """Whether the consumers are there; False where the node ends before."""
+        """Wait for the subscribers; False if the node ends before they are there."""
         if self._min_subscribers:
-            self.get_logger().info(
-                f"waiting for {self._min_subscribers} subscriptions of imu/data_raw"
-            )
+            self.get_logger().info(f"waiting for {self._min_subscribers} subscribers of {IMU}")
         started = settled = time.monotonic()
         listeners: list[int] = []
         while not self._stop.wait(0.01):
             now = time.monotonic()
-            if self._exclusive_wait and self.count_publishers("imu/data_raw") > 1:
-                topic = self.resolve_topic_name("imu/data_raw")
-                print(f"{topic} already has a publisher: not started beside it", file=sys.stderr)
+            if self._exclusive_wait and self.count_publishers(IMU) > 1:
+                topic = self.resolve_topic_name(IMU)
+                print(f"{topic} already has a publisher: not starting", file=sys.stderr)
                 self.finish(1)
                 return False
             found = [output.listeners for output in self.outputs.values()]
             if found != listeners:
                 listeners, settled = found, now
             if (
-                self.outputs["imu/data_raw"].listeners >= self._min_subscribers
+                self.outputs[IMU].listeners >= self._min_subscribers
                 and now - settled >= SETTLE_TIME
                 and now - started >= self._exclusive_wait
             ):
@@ -104,7 +103,7 @@ class Player(InsdvlNode[_Group]):
         return False
 
     def _send_all(self) -> bool:
-        """Whether all messages were sent; False where the node ends before."""
+        """Send all messages; False if the node ends before."""
         start, start_ns, now_ns = time.monotonic(), -1, -1
         last_clock = -math.inf
         for time_ns, topic, message in self.timeline():
@@ -114,7 +113,7 @@ class Player(InsdvlNode[_Group]):
                 now_ns = time_ns
                 due = start + (now_ns - start_ns) / NS / self._rate
                 lag = time.monotonic() - due
-                if lag > MAX_LAG:  # a burst to catch up would overrun the consumers' queues
+                if lag > MAX_LAG:  # a burst to catch up would overrun the subscribers' queues
                     start += lag - MAX_LAG
                 if lag < 0.0 and self._stop.wait(self._burst_period - lag):
                     return False
@@ -130,7 +129,7 @@ class Player(InsdvlNode[_Group]):
             self._clock_output.publish(Clock(clock=time_of(now_ns)))
 
     def _wait_until_arrived(self, output: Output) -> bool:
-        """Whether all messages arrive within a time; False also where the node ends before."""
+        """Whether all messages arrive in time; False also if the node ends before."""
         deadline = time.monotonic() + ACKNOWLEDGE_TIME
         while not self._stop.is_set() and time.monotonic() < deadline:
             if output.acknowledged(Duration(seconds=0.1)):

@@ -1,7 +1,7 @@
 """The node `insdvl_relay`: a bad network between sensors and filter.
 
-It takes topics under a prefix and sends their messages on, as the bytes that came, after it has
-lost, delayed, reordered and doubled them as its parameters say.
+It receives topics under a prefix and relays their messages, as the received bytes. It loses,
+delays, reorders and doubles them as its parameters say.
 """
 
 import heapq
@@ -12,21 +12,18 @@ from collections import Counter
 from functools import partial
 from typing import Any
 
+from insdvl.messages.topics import BY_NAME, PROCESS_NOISE
 from insdvl.parameters.declaration import ParameterError
-from insdvl.recordings import bags
 from insdvl.studies.faults.link import RelayParameters, links
+from ros_insdvl.conversions import message_class
 from ros_insdvl.execution import run_node
 from ros_insdvl.node import InsdvlNode
 from ros_insdvl.qos import latched_qos
 from ros_insdvl.status.diagnostics import Status, View
-from ros_insdvl_sim.replay import TYPES
-
-#: Type of each topic that can be sent on.
-KINDS = {topic: kind for _, topic, kind in bags.INPUTS}
 
 
 class Relay(InsdvlNode[RelayParameters]):
-    """Sends messages on from a thread of its own, each when its delay is over.
+    """Relays messages from a thread of its own, each when its delay is over.
 
     Attributes:
         lost: Messages that were lost, by topic.
@@ -34,7 +31,7 @@ class Relay(InsdvlNode[RelayParameters]):
     """
 
     def __init__(self, **options: Any) -> None:
-        """Listen and send.
+        """Start to relay.
 
         Raises:
             ParameterError: A parameter is wrong.
@@ -50,28 +47,28 @@ class Relay(InsdvlNode[RelayParameters]):
         self.lost: Counter[str] = Counter()
         self.doubled: Counter[str] = Counter()
         self._links = links(parameters)
-        #: When, the number of the copy, topic and bytes of all that is under way, as a heap.
+        #: Due time, number of the copy, topic and bytes of the messages under way, as a heap.
         self._under_way: list[tuple[float, int, str, bytes]] = []
         self._copies = 0
         self._stopped = False
         self._changed = threading.Condition()
         for topic in parameters.topics:
-            kind = TYPES[KINDS[topic]]
-            self.advertise(kind, topic, latched_qos() if topic == "process_noise" else None)
+            kind = message_class(BY_NAME[topic].types[0])
+            self.advertise(kind, topic, latched_qos() if topic == PROCESS_NOISE else None)
             self.listen(kind, parameters.prefix + topic, partial(self._receive, topic), raw=True)
         self.start_diagnostics()
         self._thread = threading.Thread(target=self._send_all, name="relay", daemon=True)
         self._thread.start()
 
     def _check_prefix(self) -> None:
-        """Refuse a prefix by which a topic that is heard is one that is sent."""
+        """Refuse a prefix with which a received topic is also a sent one."""
         topics, prefix = self.parameters.topics, self.parameters.prefix
         sent = {self.resolve_topic_name(topic) for topic in topics}
         both = sorted(sent & {self.resolve_topic_name(prefix + topic) for topic in topics})
         if both:
             raise ParameterError(
-                f"parameter 'prefix' must lead to other topics than those that are sent, got "
-                f"{prefix!r}: the relay would hear itself on {', '.join(both)}"
+                f"parameter 'prefix' must lead to topics that are not sent, got {prefix!r}: the "
+                f"relay would receive its own messages on {', '.join(both)}"
             )
 
     def _receive(self, topic: str, data: bytes) -> None:
@@ -96,7 +93,7 @@ class Relay(InsdvlNode[RelayParameters]):
                 self.finish(1)
 
     def _next(self) -> tuple[str, bytes] | None:
-        """Topic and bytes of the next message when it is due; None where the node ends before."""
+        """Topic and bytes of the next message when it is due; None when the node ends."""
         with self._changed:
             while not self._stopped:
                 wait = self._under_way[0][0] - time.monotonic() if self._under_way else None
@@ -106,7 +103,7 @@ class Relay(InsdvlNode[RelayParameters]):
         return None
 
     def causes(self, view: View) -> list[Status]:
-        """What was lost and doubled, and how much is under way."""
+        """How many messages were lost and doubled, and how many are under way."""
         lost, doubled = self.lost.total(), self.doubled.total()
         status = Status("relay", f"{lost} messages lost, {doubled} doubled")
         for topic in self.parameters.topics:
@@ -117,7 +114,7 @@ class Relay(InsdvlNode[RelayParameters]):
         return [status]
 
     def destroy_node(self) -> None:
-        """Stop sending, then take the node down; what is under way is lost."""
+        """Stop sending and destroy the node; messages under way are lost."""
         if hasattr(self, "_thread"):
             with self._changed:
                 self._stopped = True
@@ -127,10 +124,10 @@ class Relay(InsdvlNode[RelayParameters]):
 
 
 def _check(topics: tuple[str, ...]) -> None:
-    unknown = [topic for topic in topics if topic not in KINDS]
+    unknown = [topic for topic in topics if topic not in BY_NAME]
     if unknown:
         raise ParameterError(
-            f"parameter 'topics' must be of {', '.join(KINDS)}, got {', '.join(unknown)}"
+            f"parameter 'topics' must be of {', '.join(BY_NAME)}, got {', '.join(unknown)}"
         )
     if len(set(topics)) < len(topics):
         raise ParameterError(f"parameter 'topics' must name a topic once, got {list(topics)!r}")

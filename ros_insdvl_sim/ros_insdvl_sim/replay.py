@@ -5,32 +5,23 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from geometry_msgs.msg import TwistStamped, TwistWithCovarianceStamped
-from nav_msgs.msg import Odometry
-from sensor_msgs.msg import Imu, NavSatFix
-
+from insdvl.messages.topics import PROCESS_NOISE
 from insdvl.parameters.declaration import ParameterError
-from insdvl.recordings import bags
-from insdvl.recordings.bags import BagError, BagReader
+from insdvl.recordings.bag_reader import BagReader
+from insdvl.recordings.base import BagError, stamp_ns
 from insdvl.recordings.parameters import ReplayParameters
+from insdvl.recordings.played import played
+from ros_insdvl.conversions import message_class
 from ros_insdvl.execution import run_node
 from ros_insdvl.qos import latched_qos
 from ros_insdvl.status.diagnostics import Status, View
 from ros_insdvl_sim.player import Player
 
-TYPES = {
-    bags.IMU: Imu,
-    bags.FIX: NavSatFix,
-    bags.TWIST: TwistStamped,
-    bags.TWIST_WITH_COVARIANCE: TwistWithCovarianceStamped,
-    bags.ODOMETRY: Odometry,
-}
-
 
 class Replay(Player[ReplayParameters]):
     """Plays a recording once, in the recorded order, at the pace of the IMU's stamps.
 
-    Messages are published as the bytes that were recorded, so nothing of them changes.
+    Messages are published as the recorded bytes, unchanged.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -46,8 +37,8 @@ class Replay(Player[ReplayParameters]):
             self.destroy_node()
             raise ParameterError(f"parameter 'bag': {error}") from error
         for recorded, topic in self._topics.items():
-            qos = latched_qos() if topic == "process_noise" else None
-            self.advertise(TYPES[self._bag.topics[recorded].type], topic, qos)
+            qos = latched_qos() if topic == PROCESS_NOISE else None
+            self.advertise(message_class(self._bag.topics[recorded].type), topic, qos)
         self.start_diagnostics()
         self.start_playing(
             rate_factor=self.parameters.rate_factor,
@@ -56,24 +47,24 @@ class Replay(Player[ReplayParameters]):
 
     def _open(self) -> None:
         if not self.parameters.bag:
-            raise BagError("it is empty, and names no recording")
+            raise BagError("it is empty, but must name a recording")
         self._bag = BagReader(Path(self.parameters.bag))
-        self._topics = bags.played(self._bag, self.parameters)
+        self._topics = played(self._bag, self.parameters)
         for raw in self._bag.raw(self._topics):
-            bags.stamp_ns(raw)
+            stamp_ns(raw)
 
     def causes(self, view: View) -> list[Status]:
-        """What is played, and how much of it was sent."""
+        """The recording, and how many of its messages were sent."""
         status = Status("recording", f"plays {self.parameters.bag}")
         view.show(status, *self.outputs)
         return [status]
 
     def timeline(self) -> Iterator[tuple[int, str, bytes]]:
         """All messages in the recorded order; the time is that of the newest IMU stamp so far."""
-        now_ns = min(bags.stamp_ns(raw) for raw in self._bag.raw([self.parameters.imu_topic]))
+        now_ns = min(stamp_ns(raw) for raw in self._bag.raw([self.parameters.imu_topic]))
         for raw in self._bag.raw(self._topics):
             if raw.topic == self.parameters.imu_topic:
-                now_ns = max(now_ns, bags.stamp_ns(raw))
+                now_ns = max(now_ns, stamp_ns(raw))
             yield now_ns, self._topics[raw.topic], raw.data
 
 

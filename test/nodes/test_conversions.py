@@ -5,13 +5,10 @@ import pytest
 from geometry_msgs.msg import Quaternion, TwistWithCovarianceStamped, Vector3
 from rclpy.serialization import deserialize_message, serialize_message
 
-from ros_insdvl.conversions import (
-    fill_innovation,
-    flat_covariance,
-    set_quaternion,
-    set_vector,
-    time_of,
-)
+from insdvl.messages.make import fill_twist, flat_covariance, set_quaternion, set_vector
+from insdvl.messages.topics import TOPICS
+from insdvl.parameters.declaration import ParameterError
+from ros_insdvl.conversions import message_class, time_of
 
 
 @pytest.mark.parametrize(
@@ -54,8 +51,20 @@ def test_stamp_keeps_every_nanosecond(stamp_ns: int) -> None:
 def test_innovation_leaves_the_angular_part_unknown() -> None:
     message = TwistWithCovarianceStamped()
     S = np.array([[3.0, 1.0, 0.0], [1.0, 4.0, 0.5], [0.0, 0.5, 5.0]])
-    fill_innovation(message, 5, np.array([1.0, 2.0, 3.0]), S)
+    fill_twist(message, 5, np.array([1.0, 2.0, 3.0]), S)
     covariance = message.twist.covariance.reshape(6, 6)
     assert (covariance[:3, :3] == S).all()
     assert not covariance[3:].any()
     assert not covariance[:, 3:].any()
+
+
+def test_every_type_of_the_table_is_found_by_its_name() -> None:
+    for kind in {kind for topic in TOPICS for kind in topic.types}:
+        found = message_class(kind)
+        assert f"{found.__module__.split('.')[0]}/msg/{found.__name__}" == kind
+
+
+@pytest.mark.parametrize("kind", ["no_such_driver_msgs/msg/Ping", "sensor_msgs/msg/NoSuchName"])
+def test_a_type_that_is_not_installed_is_named(kind: str) -> None:
+    with pytest.raises(ParameterError, match=f"{kind} is not installed: .* {kind.split('/')[0]}"):
+        message_class(kind)

@@ -28,6 +28,7 @@ from std_srvs.srv import Trigger
 
 from insdvl import files
 from insdvl.messages import convert as messages
+from insdvl.messages.make import flat_covariance
 from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.frames import ENU
 from insdvl.navigation.odometry import odometry
@@ -37,7 +38,7 @@ from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import SCENARIOS
 from insdvl.simulation.trajectories import trajectory_named
 from insdvl.timeline.recorded import fold_arrays
-from ros_insdvl.conversions import flat_covariance, time_of
+from ros_insdvl.conversions import time_of
 from ros_insdvl.filter import FilterNode
 from ros_insdvl.status.heard import ERROR, OK, WARN, HeardStatus
 

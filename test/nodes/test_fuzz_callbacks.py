@@ -6,28 +6,23 @@ from typing import Any
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import TwistStamped, TwistWithCovarianceStamped
+from geometry_msgs.msg import TwistWithCovarianceStamped
 from graphs import Graph
 from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
-from sensor_msgs.msg import Imu, NavSatFix
+from sensor_msgs.msg import Imu
 
-from insdvl.messages import inputs
-from insdvl.recordings.bags import encode
+from insdvl.messages import convert
+from insdvl.messages.topics import BY_NAME
+from insdvl.recordings.base import encode
 from insdvl.studies.faults.fuzz import Adversary
+from ros_insdvl.conversions import message_class
 from ros_insdvl.filter import FilterNode
 from ros_insdvl.monitor import Monitor
 from ros_insdvl.tuner import TunerNode
-from ros_insdvl_sim.relay import KINDS, Relay
+from ros_insdvl_sim.relay import Relay
 
 COUNT = 1500
-TYPES = {
-    inputs.IMU: Imu,
-    inputs.FIX: NavSatFix,
-    inputs.TWIST: TwistStamped,
-    inputs.TWIST_WITH_COVARIANCE: TwistWithCovarianceStamped,
-    inputs.ODOMETRY: Odometry,
-}
 
 
 class Bench(Graph):
@@ -64,7 +59,7 @@ def adverse(topics: dict[str, str], count: int, *, odd: float = 0.1) -> Iterator
     adversary = Adversary(np.random.default_rng(1), odd=odd, wire=True)
     for topic, message in adversary.messages(topics, count):
         data = encode(topic, 0, message).data
-        yield topic, deserialize_message(data, TYPES[topics[topic]])
+        yield topic, deserialize_message(data, message_class(topics[topic]))
 
 
 def all_numbers(message: Any) -> list[float]:
@@ -86,7 +81,7 @@ def all_numbers(message: Any) -> list[float]:
 )
 def test_filter(bench: Any, parameters: dict[str, Any]) -> None:
     b = bench(FilterNode, **parameters)
-    topics = dict(b.tested._inputs.topics)
+    topics = {name: topic.types[0] for name, topic in b.tested._inputs.topics.items()}
     for topic, message in adverse(topics, COUNT):
         if topic in b.tested.inputs:  # a topic of the initial state is left when it has been heard
             b.give(topic, message)
@@ -106,7 +101,7 @@ def test_filter(bench: Any, parameters: dict[str, Any]) -> None:
 def test_tuner(bench: Any) -> None:
     b = bench(TunerNode, rate=10.0)
     for odd in (0.1, 0.001):  # a window takes 200 samples in a row
-        for topic, message in adverse({"imu/data_raw": inputs.IMU}, 2 * COUNT, odd=odd):
+        for topic, message in adverse({"imu/data_raw": convert.IMU}, 2 * COUNT, odd=odd):
             b.give(topic, message)
     learned = b.messages("process_noise", Imu)
     assert learned
@@ -123,11 +118,11 @@ def test_tuner(bench: Any) -> None:
 def test_monitor(bench: Any) -> None:
     b = bench(Monitor, filters=["/a", "/b"])
     topics = {
-        "ground_truth/odometry": inputs.ODOMETRY,
-        "/a/odometry/filtered": inputs.ODOMETRY,
-        "/b/odometry/filtered": inputs.ODOMETRY,
-        "process_noise": inputs.IMU,
-        "ground_truth/process_noise": inputs.IMU,
+        "ground_truth/odometry": convert.ODOMETRY,
+        "/a/odometry/filtered": convert.ODOMETRY,
+        "/b/odometry/filtered": convert.ODOMETRY,
+        "process_noise": convert.IMU,
+        "ground_truth/process_noise": convert.IMU,
     }
     rng = np.random.default_rng(4)
     for k, (topic, message) in enumerate(adverse(topics, COUNT)):
@@ -158,11 +153,11 @@ def diagnostics(rng: np.random.Generator) -> DiagnosticArray:
 
 
 def test_relay_sends_on_what_it_does_not_understand(bench: Any) -> None:
-    b = bench(Relay, topics=list(KINDS), duplication=0.5, loss=0.1)
+    b = bench(Relay, topics=list(BY_NAME), duplication=0.5, loss=0.1)
     rng = np.random.default_rng(2)
     sent = []
     for _ in range(COUNT):
-        topic = list(KINDS)[rng.integers(len(KINDS))]
+        topic = list(BY_NAME)[rng.integers(len(BY_NAME))]
         data = rng.bytes(int(rng.integers(0, 200)))
         b.give("sent/" + topic, data)
         sent.append((topic, data))

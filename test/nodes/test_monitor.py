@@ -9,8 +9,9 @@ from graphs import RELIABLE, Graph, reliable
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Imu
 
+from insdvl.messages.make import flat_covariance, set_vector
 from insdvl.navigation.events import NS
-from ros_insdvl.conversions import flat_covariance, set_vector, time_of
+from ros_insdvl.conversions import time_of
 from ros_insdvl.monitor import Monitor
 from ros_insdvl.odometry_series import OdometrySeries
 

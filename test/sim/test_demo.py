@@ -20,7 +20,7 @@ from insdvl.navigation.geometry.frames import ENU
 from insdvl.navigation.odometry import odometry
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.sections import load_section
-from insdvl.recordings.bags import BagReader
+from insdvl.recordings.bag_reader import BagReader
 from insdvl.studies.evaluation.metrics import Scores
 from insdvl.timeline.recorded import fold_arrays
 from ros_insdvl_sim.trials import demo

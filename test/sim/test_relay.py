@@ -20,6 +20,7 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu
 
 from insdvl.messages.convert import stamp_ns
+from insdvl.messages.make import set_vector
 from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.frames import ENU
 from insdvl.parameters.declaration import ParameterError, build
@@ -27,7 +28,7 @@ from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import SCENARIOS
 from insdvl.simulation.trajectories import trajectory_named
 from insdvl.studies.faults.link import RelayParameters, links
-from ros_insdvl.conversions import set_vector, time_of
+from ros_insdvl.conversions import time_of
 from ros_insdvl.filter import FilterNode
 from ros_insdvl_sim.relay import Relay
 

@@ -21,8 +21,10 @@ from sensor_msgs.msg import Imu
 
 from insdvl.navigation.events import NS
 from insdvl.parameters.declaration import ParameterError
-from insdvl.recordings import bags
-from insdvl.recordings.bags import BagReader, BagWriter, encode
+from insdvl.recordings.bag_reader import BagReader
+from insdvl.recordings.bag_writer import BagWriter
+from insdvl.recordings.base import encode
+from insdvl.recordings.messages import imu_message, odometry_message, twist_message
 from ros_insdvl_sim.replay import Replay
 
 RELIABLE = QoSProfile(depth=2000, reliability=ReliabilityPolicy.RELIABLE)
@@ -42,18 +44,18 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with BagWriter(path) as writer:
         for k, sample in enumerate(order):
             stamp_ns, time_ns = START_NS + sample * STEP_NS, 5 * NS + k * STEP_NS
-            message = bags.imu_message(stamp_ns, "imu", *rng.standard_normal((2, 3)))
+            message = imu_message(stamp_ns, "imu", *rng.standard_normal((2, 3)))
             writer.write(encode("/sensors/imu", time_ns, message))
             if k % 100 == 50:
                 v = rng.standard_normal(3)
-                writer.write(encode("/dvl", time_ns + 1, bags.twist_message(stamp_ns, "dvl", v)))
-                message = bags.odometry_message(
+                writer.write(encode("/dvl", time_ns + 1, twist_message(stamp_ns, "dvl", v)))
+                message = odometry_message(
                     stamp_ns, ("odom", "base_link"), v, np.array([0.0, 0.0, 0.0, 1.0]), v, v
                 )
                 writer.write(encode("/truth", time_ns + 2, message))
-                message = bags.imu_message(stamp_ns, "imu", v, v, np.eye(3), np.eye(3))
+                message = imu_message(stamp_ns, "imu", v, v, np.eye(3), np.eye(3))
                 writer.write(encode("/process_noise", time_ns + 3, message))
-                writer.write(encode("/other", time_ns + 4, bags.twist_message(stamp_ns, "x", v)))
+                writer.write(encode("/other", time_ns + 4, twist_message(stamp_ns, "x", v)))
     return path
 
 

@@ -20,7 +20,7 @@ from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
 
 from insdvl import files
-from insdvl.recordings.bags import BagWriter
+from insdvl.recordings.bag_writer import BagWriter
 from insdvl.simulation.noise import SCENARIOS
 from insdvl.simulation.trajectories import trajectory_named
 from insdvl.studies.report import plots

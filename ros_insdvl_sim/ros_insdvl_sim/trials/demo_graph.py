@@ -20,7 +20,8 @@ from scipy.spatial.transform import Rotation
 from insdvl import files
 from insdvl.navigation.geometry.frames import ENU, rpy_from_rotation
 from insdvl.navigation.parameters import FilterParameters
-from insdvl.recordings.bags import BagWriter, Raw
+from insdvl.recordings.bag_writer import BagWriter
+from insdvl.recordings.base import Raw
 from insdvl.simulation.trajectories import trajectory_named
 from ros_insdvl.monitor import Monitor
 from ros_insdvl_sim.trials.environment import TrialError

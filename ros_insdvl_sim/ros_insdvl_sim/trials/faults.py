@@ -15,6 +15,7 @@ from typing import Any
 from insdvl.files import check_writable, json_text, write
 from insdvl.jobs.store import environment
 from insdvl.studies.faults import matrix, page, rows
+from insdvl.studies.faults.rows.base import ONE_SEED, FlightRow
 from ros_insdvl_sim.trials.environment import exit_code_of, isolate
 from ros_insdvl_sim.trials.process_rows.row import judged
 from ros_insdvl_sim.trials.process_rows.rows import ROWS as PROCESS_ROWS
@@ -30,13 +31,13 @@ SHORT = (
 )
 
 
-def short_rows() -> list[rows.Row]:
+def short_rows() -> list[FlightRow]:
     """The rows of messages in the short form."""
     chosen = [row for row in rows.ROWS if row.name in SHORT]
-    return [row.with_seeds(rows.ONE_SEED) for row in chosen]
+    return [row.with_seeds(ONE_SEED) for row in chosen]
 
 
-def judged_messages(chosen: list[rows.Row], jobs: int) -> Iterator[dict[str, Any]]:
+def judged_messages(chosen: list[FlightRow], jobs: int) -> Iterator[dict[str, Any]]:
     """The rows of messages in their order, judged; several at a time."""
     if jobs == 1:
         yield from map(matrix.judged, chosen)

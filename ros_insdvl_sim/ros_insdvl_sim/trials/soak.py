@@ -66,7 +66,7 @@ def _fly_core(
 ) -> None:
     """Hours of mission through the core alone."""
     document["core"] = []
-    for number, hour in enumerate(soak.run(options.core_hours, options.leg)):
+    for number, hour in enumerate(soak.flown_hours(options.core_hours, options.leg)):
         document["core"].append(finite(asdict(hour)) | {"hour": number})
         print(f"core, hour {number + 1}: {hour.seconds:.1f} s", flush=True)
         keep()

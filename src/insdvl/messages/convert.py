@@ -1,11 +1,11 @@
-"""Standard ROS messages to events, and outputs to the numbers of a message, without ROS.
+"""Standard ROS messages to events, without ROS.
 
-A message is anything with the fields of the standard type: rclpy's own, or one that was read from
-a recording. Nodes and `insdvl replay` use the same functions, so both see the same numbers.
+A message is anything with the fields of the standard type: an rclpy message, or one read from a
+recording. Nodes and `insdvl replay` use the same functions, so both get the same numbers.
 
-Covariances follow REP-145: a first element of -1 says that the quantity is not measured at all,
-zeros say that its covariance is unknown. A zero on the diagonal only says so of that component:
-nothing is known perfectly, see `completed`.
+Covariances follow REP-145: a first element of -1 means that the quantity is not measured, zeros
+mean that the covariance is unknown. A single zero on the diagonal means that this variance is
+unknown, since nothing is known perfectly; see `completed`.
 """
 
 import math
@@ -13,20 +13,25 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from insdvl.arrays import Array
 from insdvl.navigation.events import MAX_VARIANCE, NS, Imu, Initial, Origin, ProcessNoise
 from insdvl.navigation.geometry.frames import Convention, rotation_from_quaternion
 from insdvl.navigation.measurements.dvl import Dvl
 
-Array = NDArray[np.float64]
+#: Message types that are converted here.
+IMU = "sensor_msgs/msg/Imu"
+FIX = "sensor_msgs/msg/NavSatFix"
+TWIST = "geometry_msgs/msg/TwistStamped"
+TWIST_WITH_COVARIANCE = "geometry_msgs/msg/TwistWithCovarianceStamped"
+ODOMETRY = "nav_msgs/msg/Odometry"
 
 
 class RejectedMessage(ValueError):
     """A message cannot be used.
 
     Attributes:
-        reason: A short word for counting.
+        reason: The word under which it is counted, see `insdvl.messages.refusals`.
     """
 
     def __init__(self, reason: str, detail: str) -> None:
@@ -47,7 +52,7 @@ def stamp_ns(header: Any) -> int:
 
 
 def sensor_stamp_ns(header: Any) -> int:
-    """As `stamp_ns`, for a sensor, where zero means that nobody has set it.
+    """As `stamp_ns`, of a sensor: there zero means that the driver has not set the stamp.
 
     Raises:
         RejectedMessage: ``bad_stamp`` or ``no_stamp``.
@@ -74,7 +79,7 @@ def square(field: Any, size: int, name: str) -> Array:
     """A row-major field of size^2 numbers as (size, size).
 
     Raises:
-        RejectedMessage: ``bad_covariance``: it has another number of elements.
+        RejectedMessage: ``bad_covariance``: the number of elements is wrong.
     """
     value = np.asarray(field, dtype=float).ravel()
     if value.size != size * size:
@@ -98,7 +103,7 @@ def covariance(field: Any, size: int, name: str) -> Array | None:
         raise RejectedMessage("bad_covariance", f"{name} is not finite: {matrix.tolist()}")
     scale = np.abs(matrix).max()
     if scale > MAX_VARIANCE:
-        raise RejectedMessage("bad_covariance", f"{name} is as large as {scale:g}")
+        raise RejectedMessage("bad_covariance", f"{name} has an element of size {scale:g}")
     if np.abs(matrix - matrix.T).max() > 1e-9 * scale:
         raise RejectedMessage("bad_covariance", f"{name} is not symmetric: {matrix.tolist()}")
     matrix = (matrix + matrix.T) / 2
@@ -108,9 +113,9 @@ def covariance(field: Any, size: int, name: str) -> Array | None:
 
 
 def completed(P: Array | None, sigmas: Sequence[float]) -> Array | None:
-    """A covariance (3, 3) whose unknown components, of variance zero, have these sigmas.
+    """A covariance (3, 3) with these sigmas in place of unknown variances (zeros).
 
-    They are independent of the others. Where it is None all are unknown, which stays so.
+    The components filled in are independent of the others. None (all unknown) stays None.
     """
     if P is None or np.diagonal(P).all():
         return P
@@ -120,7 +125,7 @@ def completed(P: Array | None, sigmas: Sequence[float]) -> Array | None:
 
 
 def _not_measured(field: Any) -> bool:
-    """REP-145's mark in a covariance field, which may have any size."""
+    """Whether a covariance field, of any size, begins with REP-145's -1."""
     return len(field) > 0 and float(field[0]) == -1.0
 
 
@@ -129,7 +134,7 @@ def imu(message: Any, convention: Convention) -> Imu:
 
     Raises:
         RejectedMessage: ``bad_stamp``, ``no_stamp``, ``not_finite``, or ``no_data`` where a triad
-            says that it does not measure.
+            is marked as not measured.
     """
     for name in ("linear_acceleration", "angular_velocity"):
         if _not_measured(getattr(message, name + "_covariance")):
@@ -221,11 +226,11 @@ def origin(message: Any, height: float) -> Origin:
 
     Args:
         message: The fix.
-        height: Where the fix has none [m]: its altitude is then NaN.
+        height: Used where the fix has no altitude (NaN) [m].
 
     Raises:
         RejectedMessage: ``bad_stamp``, ``no_data`` (status below 0), ``not_finite`` or
-            ``out_of_range`` (the latitude; the fold refuses an impossible height).
+            ``out_of_range`` (the latitude; the fold checks the height).
     """
     if message.status.status < 0:
         raise RejectedMessage("no_data", f"status is {message.status.status}")

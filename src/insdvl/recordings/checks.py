@@ -1,8 +1,8 @@
-"""What a recording must be before, and while, `rosbags` reads it.
+"""Checks of a recording before and while `rosbags` reads it.
 
-That library believes what a file says of itself. A few damaged or ill-meant bytes could make it
-decompress without end, follow a table that leads to itself, or run a query that never ends. What is
-refused here no recorder writes.
+That library trusts what a file says about itself. A few damaged or malicious bytes could make it
+decompress without end, follow a table that leads to itself, or run a query that never ends. No
+recorder writes what is refused here.
 """
 
 import sqlite3
@@ -22,19 +22,19 @@ with extra("bags"):
     import lz4.frame
     from rosbags.rosbag2 import storage_mcap
 
-#: Of an MCAP chunk, decompressed. A recorder ends a chunk at some megabytes, and a message of our
-#: topics has less than a kilobyte.
+#: Limit of an MCAP chunk, decompressed. A recorder closes a chunk at some megabytes, and a message
+#: of our topics has less than a kilobyte.
 MAX_CHUNK_BYTES = 64 * 2**20
-#: Of all chunks, decompressed, that hold messages of one moment: they are in memory together.
+#: Limit of all chunks, decompressed, with messages of one moment: they are in memory together.
 MAX_OPEN_BYTES = 256 * 2**20
-#: Of one message. An Odometry with long frame names has a kilobyte.
+#: Limit of one message. An Odometry with long frame names has a kilobyte.
 MAX_MESSAGE_BYTES = 2**20
-#: Tables and indices of a database; rosbag2's have less than ten.
+#: Limit of the tables and indices of a database; rosbag2 makes less than ten.
 MAX_TABLES = 50
 
 
 class UnfitError(ValueError):
-    """A file of a recording must not be read; the message says why."""
+    """A file of a recording is not safe to read; the message says why."""
 
 
 # ---------------------------------------------------------------- metadata.yaml
@@ -43,11 +43,11 @@ class UnfitError(ValueError):
 def check_folder(path: Path) -> None:
     """Check the metadata of a recording's folder, and the files that it names.
 
-    What is missing or of another type is left to rosbags, which says so.
+    What is missing or has another type is left to rosbags, which reports it.
 
     Raises:
-        UnfitError: The metadata is refused by `yaml_files.load`, files or messages are compressed,
-            or a file must not be read.
+        UnfitError: `yaml_files.load` refuses the metadata, files or messages are compressed, or a
+            file is not safe to read.
     """
     try:
         document = yaml_files.load(path / "metadata.yaml")
@@ -59,8 +59,8 @@ def check_folder(path: Path) -> None:
     mode = information.get("compression_mode")
     if mode and str(mode).lower() != "none":
         raise UnfitError(
-            f"its compression_mode is {shown(mode)}, and only the chunks of MCAP may be compressed "
-            "(`ros2 bag convert` makes such a recording of it)"
+            f"its compression_mode is {shown(mode)}; only the chunks of MCAP may be compressed "
+            "(convert it with `ros2 bag convert`)"
         )
     names = information.get("relative_file_paths")
     for name in names if type(names) is list else []:
@@ -68,7 +68,7 @@ def check_folder(path: Path) -> None:
         if not file.exists():
             continue
         if not file.is_file():
-            raise UnfitError(f"{file.name} is no regular file")
+            raise UnfitError(f"{file.name} is not a regular file")
         if information.get("storage_identifier") == "sqlite3":
             check_database(file)
 
@@ -77,18 +77,18 @@ def check_folder(path: Path) -> None:
 
 
 def _bounded(new: Callable[[], Any]) -> Callable[[bytes, int], bytes]:
-    """A decompressor of chunks that ends at the size that the chunk says."""
+    """A decompressor that stops at the declared size of the chunk."""
 
     def decompress(data: bytes, size: int) -> bytes:
         if size > MAX_CHUNK_BYTES:
-            raise UnfitError(f"a chunk has {size} bytes, more than {MAX_CHUNK_BYTES}")
-        parts, left = [], size + 1  # one more, so that a chunk that is too long is noticed
+            raise UnfitError(f"a chunk has {size} bytes; at most {MAX_CHUNK_BYTES} are read")
+        parts, left = [], size + 1  # one more, so that a chunk that is too long is detected
         while data and left > 0:
             frame = new()
             part = frame.decompress(data, max_length=left)
             parts.append(part)
             left -= len(part)
-            if not frame.eof:  # it ends too early, or too late
+            if not frame.eof:  # the frame is cut, or longer than declared
                 break
             data = frame.unused_data or b""
         return b"".join(parts)
@@ -96,8 +96,7 @@ def _bounded(new: Callable[[], Any]) -> Callable[[bytes, int], bytes]:
     return decompress
 
 
-# rosbags gives a decompressor the size that it will insist on afterwards, and the two of its own
-# make nothing of it.
+# rosbags passes the declared size to its decompressors, which ignore it, and checks it afterwards.
 storage_mcap.DECOMPRESSORS.update(
     zstd=_bounded(storage_mcap.zstd.ZstdDecompressor),
     lz4=_bounded(lz4.frame.LZ4FrameDecompressor),
@@ -105,10 +104,11 @@ storage_mcap.DECOMPRESSORS.update(
 
 
 def check_chunks(chunks: Iterable[storage_mcap.ChunkInfo]) -> None:
-    """Check the index of chunks of an MCAP file that has been opened.
+    """Check the index of chunks of an open MCAP file.
 
     Raises:
-        UnfitError: Chunks are too large, overlap in the file, or too many are of one moment.
+        UnfitError: Chunks are too large or overlap in the file, or too many have messages of one
+            moment.
     """
     ordered = sorted(chunks, key=lambda chunk: chunk.chunk_start_offset)
     for before, after in pairwise(ordered):
@@ -127,8 +127,8 @@ def check_chunks(chunks: Iterable[storage_mcap.ChunkInfo]) -> None:
         size += change
         if size > MAX_OPEN_BYTES:
             raise UnfitError(
-                f"the chunks with messages of {time_ns} ns have {size} bytes together, more than "
-                f"{MAX_OPEN_BYTES}"
+                f"the chunks with messages of {time_ns} ns have {size} bytes together; at most "
+                f"{MAX_OPEN_BYTES} are read"
             )
 
 
@@ -136,13 +136,13 @@ def check_chunks(chunks: Iterable[storage_mcap.ChunkInfo]) -> None:
 
 
 def check_database(path: Path) -> None:
-    """Check that a database is sound, and that reading it runs nothing that is stored in it.
+    """Check that a database is intact, and that reading it executes nothing that is stored in it.
 
     Views, triggers, virtual tables and generated columns are queries and functions that a file
-    brings along.
+    contains.
 
     Raises:
-        UnfitError: It is no database, is damaged, or has any of these.
+        UnfitError: The file is not a database, is damaged, or has any of these.
     """
     try:
         with closing(
@@ -157,7 +157,7 @@ def check_database(path: Path) -> None:
                 raise UnfitError(f"it has more than {MAX_TABLES} tables and indices")
             for name, sql in objects:
                 _check_object(database, name, sql)
-            # Also that no page is in two places: a tree that leads to itself has no end.
+            # This also finds a page that is used twice: a tree that leads to itself has no end.
             ((verdict,),) = database.execute("PRAGMA quick_check(1)").fetchall()
             if verdict != "ok":
                 raise UnfitError(f"it is damaged: {shown(verdict)}")
@@ -166,11 +166,11 @@ def check_database(path: Path) -> None:
 
 
 def _check_object(database: sqlite3.Connection, name: str, sql: str | None) -> None:
-    # By the text, which is what sqlite goes by; an index of sqlite's own has none.
+    # By the SQL text, as sqlite does; an index of sqlite's own has none.
     if sql is None or sql.startswith(("CREATE INDEX ", "CREATE UNIQUE INDEX ")):
         return
     if not sql.startswith("CREATE TABLE "):
-        raise UnfitError(f"only plain tables and indices are read, and {shown(name)} is none")
+        raise UnfitError(f"only plain tables and indices are read; {shown(name)} is neither")
     columns = database.execute("SELECT name, hidden FROM pragma_table_xinfo(?)", (name,))
     for column, hidden in columns.fetchall():
         if hidden:

@@ -9,19 +9,19 @@ from insdvl.parameters.declaration import parameter
 class ReplayParameters:
     """Parameters of the replay, for the node and for `insdvl replay`.
 
-    The topics are the names in the recording; an empty one, or one that is not in it, is not
-    played.
+    The topics are names in the recording. A topic that is empty, or that the recording does not
+    have, is not played.
     """
 
-    bag: str = parameter("", "Folder or file of the rosbag2 recording; the node needs it.")
+    bag: str = parameter("", "Folder or file of the rosbag2 recording; required by the node.")
     rate_factor: float = parameter(
         0.0,
-        "Speed against the stamps, with /clock for the consumers; 0 is real time without /clock.",
+        "Speed relative to the stamps, with /clock for subscribers; 0 is real time without /clock.",
         low=0.0,
         high=1000.0,
     )
     min_subscribers: int = parameter(
-        1, "The node begins when imu/data_raw has this many subscriptions.", low=0, high=1000
+        1, "The node starts when imu/data_raw has this many subscribers.", low=0, high=1000
     )
     imu_topic: str = parameter("/imu/data_raw", "sensor_msgs/Imu, played on imu/data_raw.")
     dvl_topic: str = parameter("/dvl/velocity", "TwistStamped, played on dvl/velocity.")
@@ -40,4 +40,9 @@ class ReplayParameters:
     fix_topic: str = parameter("/gps/fix", "sensor_msgs/NavSatFix, played on gps/fix.")
     set_odometry_topic: str = parameter(
         "/set_odometry", "nav_msgs/Odometry, played on set_odometry."
+    )
+    further_topics: tuple[str, ...] = parameter(
+        ("",),
+        "Further topics that are played under their own names: those that parameters of the filter "
+        "name. An empty name is none.",
     )

@@ -1,1 +1,1 @@
-"""What the streams themselves tell: whether axes and units fit, and whether samples are missing."""
+"""What the streams themselves show: whether axes and units fit, and whether samples are missing."""

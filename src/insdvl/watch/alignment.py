@@ -1,17 +1,18 @@
-"""Whether the axes of IMU and DVL can be those that the parameters say.
+"""Whether the axes of IMU and DVL agree with the parameters.
 
-A wrong sign is seldom seen at once: a filter whose gyroscope turns the wrong way drifts, and its
-gate blames the DVL. Two things give it away while the vehicle moves.
+A wrong sign is rarely noticed at once: a filter with a reversed gyroscope axis drifts, and its gate
+rejects the DVL. Two checks find it while the vehicle moves.
 
 Gravity: the specific force of an upright vehicle points up, most of the time.
 
-Motion: within a window the velocity in the axes of the window's start, R(t) v(t), grows
+Motion: within a window the velocity in the axes of the window's start, R(t) v(t), changes
 by the specific force and gravity: v(t) = v_0 + integral(R f) + g t, with R from the gyroscope. v_0
-and g are unknown, and a constant turn of g, as of a gyroscope's bias or of the Earth, adds a term
-in t^2. What is left of R v_dvl - integral(R f) beside such a parabola is noise, if the axes are
-right. With a gyroscope's or the DVL's sign reversed it is much more, as soon as the vehicle turns
-or pitches: so the window is computed with every reversal too, and the sums of squares of many
-windows are compared. The noise need not be known, and a motion that tells nothing accuses no axis.
+and g are unknown, and a constant rotation rate of g, from a gyroscope bias or the Earth, adds a
+term in t^2. If the axes are right, the residual of R v_dvl - integral(R f) after the fit of such a
+parabola is noise. With a reversed axis of the gyroscope or the DVL it is much larger as soon as the
+vehicle turns or pitches. So the window is also computed with every reversal, and the mean squares
+of many windows are compared. The noise need not be known, and a motion without information accuses
+no axis.
 """
 
 from bisect import insort
@@ -20,8 +21,8 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from insdvl.arrays import Array
 from insdvl.kernels import kernel
 from insdvl.navigation.events import NS, Event, Imu
 from insdvl.navigation.geometry.frames import CONVENTIONS, rotation_from_rpy
@@ -30,30 +31,28 @@ from insdvl.navigation.geometry.rotation import product as matrix_product
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 
-Array = NDArray[np.float64]
-
-GRAVITY = 9.81  # m/s^2, good enough for a sign
-BLOCK_NS = 10 * NS  # of a mean specific force
-BLOCKS = 6  # which all must agree: no manoeuvre lasts so long
+GRAVITY = 9.81  # m/s^2, accurate enough for a sign
+BLOCK_NS = 10 * NS  # length of a block with a mean specific force
+BLOCKS = 6  # number of blocks that must agree: no manoeuvre lasts as long
 FEWEST_BLOCKS = 2
 UPSIDE_DOWN = -0.5  # share of the specific force that points up
 ASIDE = 0.94  # share of it along another axis: 20 deg
 WRONG_SIZE = 0.3  # relative difference from gravity
 
 WINDOW_NS = 20 * NS  # long enough for a turn, short enough for a noisy gyroscope
-WINDOWS = 60  # which are remembered: 20 minutes
+WINDOWS = 60  # number of windows that are kept: 20 minutes
 FEWEST_WINDOWS = 5
-FIXES = 8  # DVL measurements that a window must have; the parabola takes 3
-SPACING_NS = WINDOW_NS // 100  # between those that are used
-PAUSE_NS = 5 * NS  # without any, that ends a window
-SMALLEST = 1e-3  # m/s, that must be left, root mean square: no DVL is better
-RATIO = 2.0  # of two sums of squares, of which the larger one is then refuted
+PINGS = 8  # DVL measurements that a window must have; the parabola takes 3
+SPACING_NS = WINDOW_NS // 100  # smallest time between two that are used
+PAUSE_NS = 5 * NS  # a longer time without any ends the window
+SMALLEST = 1e-3  # m/s, smallest RMS residual that accuses an axis: no DVL is better
+RATIO = 2.0  # of two mean squares, from which the larger one is refuted
 
 
-_SAMPLES = 4096  # that wait for a late DVL: 4 s at 1 kHz
+_SAMPLES = 4096  # IMU samples that wait for a late DVL: 4 s at 1 kHz
 _WAITING = 64  # DVL measurements that wait for the IMU
 
-#: Reversals (8, 3) of a triad's axes, of which the first is none.
+#: Reversals (8, 3) of the axes of a sensor; the first is none.
 SIGNS = np.array(list(product((1.0, -1.0), repeat=3)))
 
 
@@ -61,7 +60,7 @@ SIGNS = np.array(list(product((1.0, -1.0), repeat=3)))
 def _integrate(
     signs: Array, dt: Array, f: Array, w: Array, R: Array, F: Array, scratch: Array
 ) -> None:
-    """Rotation and integral of the specific force, with every reversal of the gyroscope.
+    """Advance the rotation and the integral of the specific force, for every reversal.
 
     Args:
         signs: (8, 3) reversals.
@@ -89,7 +88,7 @@ def _integrate(
 
 @dataclass(frozen=True)
 class _Hypothesis:
-    """Which axes are reversed: of the gyroscope or of the DVL."""
+    """Reversed axes of the gyroscope or of the DVL."""
 
     sensor: str
     signs: Array
@@ -104,8 +103,8 @@ _HYPOTHESES = [_Hypothesis("gyroscope", signs) for signs in SIGNS]
 _HYPOTHESES += [_Hypothesis("DVL", signs) for signs in SIGNS[1:]]
 
 
-def _is_less(g: int, h: int) -> bool:
-    """Whether a hypothesis reverses some of the axes that another one reverses, and no others."""
+def _is_part_of(g: int, h: int) -> bool:
+    """Whether hypothesis g reverses fewer axes than h, and none that h does not."""
     a, b = _HYPOTHESES[g], _HYPOTHESES[h]
     return g != h and a.sensor == b.sensor and bool((a.signs >= b.signs).all())
 
@@ -113,7 +112,7 @@ def _is_less(g: int, h: int) -> bool:
 class FrameCheck:
     """Watches the events of the filter; memory and work per event are bounded.
 
-    Events may come late and in any order; what comes too late for a window is not used.
+    Events may arrive late and in any order; one that is too late for its window is not used.
     """
 
     def __init__(self, parameters: FilterParameters) -> None:
@@ -146,17 +145,17 @@ class FrameCheck:
         self._scratch = np.empty((4, 3, 3))
         self._turn = np.zeros(3)  # rad/s, mean of the last samples in the window
         self._start_ns: int | None = None
-        self._fixes: list[tuple[int, Array]] = []
-        self._sums: deque[Array] = deque(maxlen=WINDOWS)
+        self._pings: list[tuple[int, Array]] = []
+        self._residuals: deque[Array] = deque(maxlen=WINDOWS)
 
     def add(self, event: Event) -> None:
-        """Take an event; of a kind without axes it is ignored."""
+        """Take an event; one without axes is ignored."""
         if isinstance(event, Imu):
             self._add_sample(event)
         elif isinstance(event, Dvl) and event.v_d.any():
             insort(self._waiting, (event.stamp_ns, event.v_d.tobytes()))
             del self._waiting[_WAITING:]  # the earliest is the next to be used
-        self._take_fixes()
+        self._take_pings()
 
     def _add_sample(self, sample: Imu) -> None:
         stamp_ns = sample.stamp_ns
@@ -204,8 +203,8 @@ class FrameCheck:
             array[:left] = array[n : self._size].copy()
         self._size = left
 
-    def _take_fixes(self) -> None:
-        """Use the DVL measurements that the IMU has reached."""
+    def _take_pings(self) -> None:
+        """Use the DVL measurements up to the newest IMU sample."""
         while self._waiting and self._newest_ns is not None:
             stamp_ns, data = self._waiting[0]
             if stamp_ns > self._newest_ns:
@@ -213,24 +212,24 @@ class FrameCheck:
             del self._waiting[0]
             if self._done_ns is None or stamp_ns > self._done_ns:
                 self._advance(stamp_ns)
-                self._take_fix(stamp_ns, np.frombuffer(data))
+                self._take_ping(stamp_ns, np.frombuffer(data))
 
-    def _take_fix(self, stamp_ns: int, v_d: Array) -> None:
+    def _take_ping(self, stamp_ns: int, v_d: Array) -> None:
         if self._start_ns is not None:
-            since_ns = stamp_ns - self._fixes[-1][0]
+            since_ns = stamp_ns - self._pings[-1][0]
             if since_ns > PAUSE_NS:
                 self._start_ns = None
             elif since_ns < SPACING_NS:
                 return
         if self._start_ns is not None:
-            self._fixes.append((stamp_ns, self._without_force(v_d)))
+            self._pings.append((stamp_ns, self._without_force(v_d)))
             if stamp_ns - self._start_ns < WINDOW_NS:
                 return
             self._close()
         self._start_ns = stamp_ns
         self._R[:] = np.eye(3)
         self._F[:] = 0.0
-        self._fixes = [(stamp_ns, self._without_force(v_d))]
+        self._pings = [(stamp_ns, self._without_force(v_d))]
 
     def _without_force(self, v_d: Array) -> Array:
         """R v - integral(R f) of each hypothesis (15, 3), v being the velocity of the IMU."""
@@ -241,17 +240,17 @@ class FrameCheck:
         return np.concatenate([with_gyroscope, v @ self._R[0].T - self._F[0]])
 
     def _close(self) -> None:
-        """Keep what each hypothesis leaves of a window beside a parabola."""
-        if len(self._fixes) < FIXES:
+        """Keep the mean squared residual of each hypothesis after the fit of a parabola."""
+        if len(self._pings) < PINGS:
             return
-        t = np.array([stamp_ns - self._fixes[0][0] for stamp_ns, _ in self._fixes]) / WINDOW_NS
+        t = np.array([stamp_ns - self._pings[0][0] for stamp_ns, _ in self._pings]) / WINDOW_NS
         basis, _ = np.linalg.qr(np.stack([np.ones_like(t), t, t * t], axis=1))
-        values = np.array([value for _, value in self._fixes]).reshape(len(t), -1)
-        left = values - basis @ (basis.T @ values)
-        self._sums.append((left**2).mean(axis=0).reshape(-1, 3).sum(axis=1))
+        values = np.array([value for _, value in self._pings]).reshape(len(t), -1)
+        residual = values - basis @ (basis.T @ values)
+        self._residuals.append((residual**2).mean(axis=0).reshape(-1, 3).sum(axis=1))
 
     def findings(self) -> list[str]:
-        """What cannot be, one sentence each; empty while nothing speaks against the axes."""
+        """The contradictions that were found, one sentence each."""
         return self._gravity() or self._motion()
 
     def _gravity(self) -> list[str]:
@@ -263,40 +262,40 @@ class FrameCheck:
         seconds = len(forces) * BLOCK_NS // NS
         if (np.abs(sizes / GRAVITY - 1.0) > WRONG_SIZE).all():
             return [
-                f"the mean specific force has been {sizes.mean():.2f} m/s^2 for {seconds} s, and "
-                f"gravity alone is {GRAVITY}: wrong unit, or gravity is left out"
+                f"the mean specific force has been {sizes.mean():.2f} m/s^2 for {seconds} s, but "
+                f"gravity alone is {GRAVITY}: wrong unit, or gravity was removed"
             ]
         up = self._axes[2, 2] * GRAVITY * -1.0  # along z of base_link, in the stream's axes
         if (-forces[:, 2] / sizes < UPSIDE_DOWN).all():
             other = next(name for name in CONVENTIONS if name != self._convention)
             return [
                 f"gravity has the wrong sign along z: the specific force of base_link has been "
-                f"{mean[2]:+.2f} m/s^2 for {seconds} s, and is {up:+.2f} upright with "
+                f"{mean[2]:+.2f} m/s^2 for {seconds} s, but must be {up:+.2f} when upright with "
                 f"frame_convention {self._convention!r}; frame_convention {other!r} would fit, or "
-                "an imu.mount that is turned by pi"
+                "an imu.mount rotated by pi"
             ]
         for axis in range(2):
             if (np.abs(forces[:, axis]) / sizes > ASIDE).all():
                 return [
-                    f"gravity is along {'xy'[axis]} of base_link, and not along z: the specific "
-                    f"force has been {mean[axis]:+.2f} m/s^2 there for {seconds} s; imu.mount is "
-                    "wrong, or the vehicle does not lie as it should"
+                    f"gravity is along {'xy'[axis]} of base_link, not along z: the specific force "
+                    f"along it has been {mean[axis]:+.2f} m/s^2 for {seconds} s; imu.mount is "
+                    "wrong, or the vehicle is not upright"
                 ]
         return []
 
     def _motion(self) -> list[str]:
-        if len(self._sums) < FEWEST_WINDOWS:
+        if len(self._residuals) < FEWEST_WINDOWS:
             return []
-        sums = np.mean(self._sums, axis=0)
-        if sums[0] < max(RATIO * sums.min(), SMALLEST**2):
+        mean = np.mean(self._residuals, axis=0)
+        if mean[0] < max(RATIO * mean.min(), SMALLEST**2):
             return []
-        # What is not refuted by the best one. An axis about which nothing moves fits with either
-        # sign: it is accused only where nothing less fits.
-        fitting = [h for h in np.argsort(sums) if sums[h] < RATIO * sums.min()]
-        accused = [h for h in fitting if not any(_is_less(g, h) for g in fitting)]
+        # Those that the best one does not refute. An axis without motion fits with either sign: it
+        # is accused only if no hypothesis without it fits.
+        fitting = [h for h in np.argsort(mean) if mean[h] < RATIO * mean.min()]
+        accused = [h for h in fitting if not any(_is_part_of(g, h) for g in fitting)]
         names = " or ".join(_HYPOTHESES[h].text for h in accused)
         return [
-            f"{names} has the wrong sign: turns and velocities contradict each other, and "
-            f"{sums[0] / sums.min():.1f} times less with it reversed "
-            f"({len(self._sums)} windows of {WINDOW_NS // NS} s)"
+            f"{names} has the wrong sign: turns and velocities contradict each other, "
+            f"{mean[0] / mean.min():.1f} times less with it reversed "
+            f"({len(self._residuals)} windows of {WINDOW_NS // NS} s)"
         ]

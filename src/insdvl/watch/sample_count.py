@@ -1,4 +1,4 @@
-"""How many IMU samples there should have been, by the stamps of those that came."""
+"""How many IMU samples are missing, by the stamps of those that arrived."""
 
 from heapq import heappop, heappush
 
@@ -11,15 +11,15 @@ FOLLOW = 0.2
 
 
 class ExpectedSamples:
-    """Counts the IMU samples, and how many there should have been by their stamps.
+    """Counts the IMU samples that arrived and those that were expected by their stamps.
 
-    The stamps lie near the points of a grid of the nominal interval, and the grid follows them:
-    jitter moves a sample beside its point, a clock of a slightly other speed moves the grid, and
-    only a sample that is missing leaves a point without one. A sample counts when none before it
-    can come late any more. What is missing in a gap is not expected: a gap is told as such.
+    The stamps lie near the points of a grid with the nominal interval, and the grid follows them:
+    jitter moves a sample beside its point, a clock of a slightly different speed moves the grid,
+    and only a missing sample leaves a point empty. A sample is counted when none before it can
+    still arrive late. Samples missing in a gap are not expected: gaps are reported as such.
 
     Args:
-        parameters: Of the filter.
+        parameters: Parameters of the filter.
     """
 
     def __init__(self, parameters: FilterParameters) -> None:
@@ -31,7 +31,7 @@ class ExpectedSamples:
         self.restart()
 
     def restart(self) -> None:
-        """A new time: the counts go on, with its stamps."""
+        """Continue the counts after a time jump, with stamps of another time."""
         self._waiting: list[int] = []  # a heap
         self._newest_ns = NEVER
         self._last_ns: int | None = None
@@ -40,14 +40,14 @@ class ExpectedSamples:
     def add(self, stamp_ns: int) -> None:
         """Take the stamp of a sample that is at most `max_delay` late."""
         if self._last_ns is not None and stamp_ns <= self._last_ns:
-            return  # of a time that is gone back to; `restart` follows
+            return  # of a time that the clock went back to; `restart` follows
         heappush(self._waiting, stamp_ns)
         self._newest_ns = max(self._newest_ns, stamp_ns)
         while self._waiting[0] < self._newest_ns - self._max_delay_ns:
             self._count(heappop(self._waiting))
 
     def _count(self, stamp_ns: int) -> None:
-        """Take the next stamp, in their order."""
+        """Count the next stamp, in increasing order."""
         if self._last_ns is None or stamp_ns - self._last_ns > self._max_gap_ns:
             self._grid_ns = stamp_ns
         else:

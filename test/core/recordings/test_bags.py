@@ -6,23 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from insdvl.recordings.bags import (
-    FIX,
-    IMU,
-    ODOMETRY,
-    TWIST,
-    TWIST_WITH_COVARIANCE,
-    BagError,
-    BagReader,
-    BagWriter,
-    Raw,
-    decode,
-    encode,
-    imu_message,
-    odometry_message,
-    twist_message,
-    typestore,
-)
+from insdvl.messages.convert import FIX, IMU, ODOMETRY, TWIST, TWIST_WITH_COVARIANCE
+from insdvl.recordings.bag_reader import BagReader
+from insdvl.recordings.bag_writer import BagWriter
+from insdvl.recordings.base import BagError, Raw, decode, encode, typestore
+from insdvl.recordings.messages import imu_message, odometry_message, twist_message
 
 SIZE = 200
 
@@ -242,13 +230,13 @@ def test_what_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(BagError, match="cannot write recording"):
         BagWriter(tmp_path / "file" / "bag")
-    with pytest.raises(BagError, match="storage is one of mcap, sqlite3, got 'tape'"):
+    with pytest.raises(BagError, match="storage must be one of mcap, sqlite3, got 'tape'"):
         BagWriter(tmp_path / "bag", "tape")
     with BagWriter(tmp_path / "bag") as bag:
         bag.write(encode("/dvl", 0, twist_message(0, "dvl", np.zeros(3))))
         with pytest.raises(BagError, match=f"/dvl has type {TWIST}, cannot take {IMU}"):
             bag.write(encode("/dvl", 0, imu_message(0, "imu", np.zeros(3), np.zeros(3))))
-        with pytest.raises(BagError, match="our_msgs/msg/Own is no standard message type"):
+        with pytest.raises(BagError, match="our_msgs/msg/Own is not a standard message type"):
             bag.write(Raw("/own", "our_msgs/msg/Own", 0, b""))
-    with pytest.raises(ValueError, match="3 x 3 is expected, got 36"):
+    with pytest.raises(ValueError, match="a covariance must have 9 values, got 36"):
         imu_message(0, "imu", np.zeros(3), np.zeros(3), np.eye(6))

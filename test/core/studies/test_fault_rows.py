@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from insdvl.messages.topics import DVL, IMU
 from insdvl.navigation.events import NS
 from insdvl.studies.faults import changes, page, soak
 from insdvl.studies.faults.changes import Change
@@ -23,8 +24,9 @@ from insdvl.studies.faults.checks import (
 )
 from insdvl.studies.faults.flight import Flight, fly, parameters_of
 from insdvl.studies.faults.matrix import judged
-from insdvl.studies.faults.rows import ONE_SEED, ROWS
-from insdvl.studies.faults.stream import DVL, IMU, Sensors, stream_of
+from insdvl.studies.faults.rows import ROWS
+from insdvl.studies.faults.rows.base import ONE_SEED
+from insdvl.studies.faults.stream import Sensors, stream_of
 from insdvl.tuner.parameters import TunerParameters
 from insdvl.tuner.tuner import Tuner
 
@@ -44,7 +46,7 @@ def test_short_form(name: str) -> None:
 
 
 def test_rows_have_names_of_their_own() -> None:
-    names = [(row.group, row.name) for row in ROWS]
+    names = [(row.subject, row.name) for row in ROWS]
     assert len(set(names)) == len(names)
 
 
@@ -183,7 +185,7 @@ def test_the_page_names_what_is_not_met_and_what_is_missing() -> None:
 
 
 def test_the_core_soaks() -> None:
-    hours = list(soak.run(2, duration=12.0))
+    hours = list(soak.flown_hours(2, duration=12.0))
     for hour in hours:
         assert hour.samples == hour.outputs == 1200
         assert hour.body_velocity_rmse < 0.3
@@ -204,6 +206,6 @@ def test_the_mission_of_an_hour_is_gone_at_its_end(monkeypatch: pytest.MonkeyPat
         return mission
 
     monkeypatch.setattr(soak, "hour", hour)
-    for number, _ in enumerate(soak.run(2, duration=2.0)):
+    for number, _ in enumerate(soak.flown_hours(2, duration=2.0)):
         assert len(made) == number + 1
         assert made[number]() is None

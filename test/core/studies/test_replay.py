@@ -14,28 +14,27 @@ from recordings import REPLAY, record, save
 from records import fields
 
 from insdvl import cli
+from insdvl.messages.refusals import Refused
 from insdvl.navigation.events import NS, Event, Initial, ProcessNoise
 from insdvl.navigation.geometry.frames import ENU, rpy_from_rotation
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build
-from insdvl.recordings import bags
-from insdvl.recordings.bags import BagError, BagReader, BagWriter, Raw, decode, encode
+from insdvl.recordings.bag_reader import BagReader
+from insdvl.recordings.bag_writer import BagWriter
+from insdvl.recordings.base import BagError, Raw, decode, encode
+from insdvl.recordings.messages import imu_message, twist_message
 from insdvl.recordings.parameters import ReplayParameters
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import SCENARIOS, constant
 from insdvl.simulation.trajectories import BASELINE
 from insdvl.studies.evaluation.metrics import autocorrelation, normalised_innovations
-from insdvl.studies.replay import command as replay
-from insdvl.studies.replay.command import (
-    Injection,
-    fold_recording,
-    learn,
-    read,
-    report,
-    states_at,
-    write_bag,
-)
+from insdvl.studies.replay import fold as replay
+from insdvl.studies.replay.fold import fold_recording, read
+from insdvl.studies.replay.injection import Injection
+from insdvl.studies.replay.learning import with_learned
+from insdvl.studies.replay.output_bag import write_bag
+from insdvl.studies.replay.scores import report, states_at
 from insdvl.timeline.recorded import fold_arrays
 from insdvl.tuner.parameters import TunerParameters
 from insdvl.tuner.tuner import Tuner
@@ -93,7 +92,7 @@ def test_a_recording_folds_into_the_state_of_the_direct_run(
     )
     assert_same_states(replayed.fold.states, direct.states)
     assert len(replayed.fold.updates) == len(direct.updates) == int(DURATION)
-    assert not replayed.rejected
+    assert not replayed.refused
 
 
 def test_the_oracle_uses_the_true_process_noise(bag: Path, mission: Mission) -> None:
@@ -112,7 +111,7 @@ def test_the_oracle_uses_the_true_process_noise(bag: Path, mission: Mission) -> 
 
 def test_without_recorded_process_noise_the_tuner_learns_it(bag: Path, mission: Mission) -> None:
     recording = read(bag, REPLAY)
-    learned = learn(recording, TunerParameters())
+    learned = with_learned(recording, TunerParameters())
     tuner = Tuner(TunerParameters())
     samples = zip(mission.stamps_ns, mission.f_b, mission.w_ib_b, strict=True)
     expected = [
@@ -187,11 +186,11 @@ def test_bad_messages_are_counted_and_change_nothing_else(
     last_ns = int(mission.stamps_ns[-1])
 
     def imu(stamp_ns: int, f: list[float]) -> Raw:
-        message = bags.imu_message(stamp_ns, "imu", np.array(f), np.zeros(3))
+        message = imu_message(stamp_ns, "imu", np.array(f), np.zeros(3))
         return encode("/imu", last_ns + 10, message)
 
     def dvl(stamp_ns: int, v: list[float]) -> Raw:
-        return encode("/dvl", last_ns + 10, bags.twist_message(stamp_ns, "dvl", np.array(v)))
+        return encode("/dvl", last_ns + 10, twist_message(stamp_ns, "dvl", np.array(v)))
 
     raws += [
         imu(last_ns + 10, [0.0, np.nan, 0.0]),
@@ -201,12 +200,13 @@ def test_bad_messages_are_counted_and_change_nothing_else(
     ]
     recording = read(save(tmp_path / "bad", raws), REPLAY)
     replayed = fold_recording(recording, filter_parameters())
-    assert replayed.rejected == {
-        "imu/data_raw: not_finite": 1,
-        "imu/data_raw: too_late": 1,
-        "dvl/velocity: not_finite": 1,
-        "dvl/velocity: too_late": 1,
+    assert replayed.refused == {
+        Refused("imu/data_raw", "not_finite"): 1,
+        Refused("imu/data_raw", "too_late"): 1,
+        Refused("dvl/velocity", "not_finite"): 1,
+        Refused("dvl/velocity", "too_late"): 1,
     }
+    assert report(recording, replayed)["rejected"]["dvl/velocity: too_late"] == 1
     clean = fold_recording(read(bag, REPLAY), filter_parameters())
     assert_same_states(replayed.fold.states, clean.fold.states)
     numbers = report(recording, replayed)
@@ -306,7 +306,7 @@ def imu_of(recording: list[Raw]) -> NDArray[np.float64]:
 
 def test_injected_noise_has_the_variance_that_the_oracle_is_told(bag: Path) -> None:
     recording = read(bag, REPLAY)
-    noisy = Injection((1e-3, 5e-2), (1e-6, 1e-4), seed=3)(recording)
+    noisy = Injection((1e-3, 5e-2), (1e-6, 1e-4), seed=3).applied(recording)
     added = imu_of(noisy) - imu_of(recording)
     told: list[NDArray[np.float64]] = []
     for raw in noisy:
@@ -332,7 +332,7 @@ def test_injected_noise_has_the_variance_that_the_oracle_is_told(bag: Path) -> N
 def test_the_seed_decides_the_injected_noise(bag: Path) -> None:
     recording = read(bag, REPLAY)
     injections = [Injection((1e-3, 5e-2), (1e-6, 1e-4), seed) for seed in (1, 1, 2)]
-    first, again, other = (injection(recording) for injection in injections)
+    first, again, other = (injection.applied(recording) for injection in injections)
     assert first == again
     assert (imu_of(first) != imu_of(other)).all()
 
@@ -342,7 +342,7 @@ def test_recorded_process_noise_does_not_hold_for_an_injected_imu(bag: Path) -> 
         bag, replace(REPLAY, process_noise_topic="/true_q", true_process_noise_topic="")
     )
     assert "process_noise" in {raw.topic for raw in recording}
-    noisy = Injection((1e-3, 5e-2), (1e-6, 1e-4), seed=3)(recording)
+    noisy = Injection((1e-3, 5e-2), (1e-6, 1e-4), seed=3).applied(recording)
     assert "process_noise" not in {raw.topic for raw in noisy}
 
 
@@ -522,7 +522,7 @@ def test_a_recording_that_is_too_long_is_refused_before_it_is_read(
     read(bag, REPLAY)
     monkeypatch.setattr(replay, "MAX_SAMPLES", count - 1)
     monkeypatch.setattr(BagReader, "raw", None)
-    with pytest.raises(BagError, match=rf"has {count} messages on /imu, and at most"):
+    with pytest.raises(BagError, match=rf"has {count} messages on /imu; at most"):
         read(bag, REPLAY)
 
 

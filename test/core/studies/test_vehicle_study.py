@@ -12,11 +12,11 @@ from recordings import record, save
 from insdvl import cli
 from insdvl.jobs.options import Workers
 from insdvl.jobs.pool import open_pool
-from insdvl.recordings.bags import BagError
+from insdvl.recordings.base import BagError
 from insdvl.simulation.mission import simulate
 from insdvl.simulation.noise import constant
 from insdvl.simulation.trajectories import BASELINE
-from insdvl.studies.replay.command import errors_of
+from insdvl.studies.replay.scores import errors_of
 from insdvl.studies.results import recordings, vehicle, vehicle_runs
 from insdvl.studies.results.recordings import Settings
 from insdvl.studies.results.vehicle_runs import METRICS, NoisyRun, Shared

@@ -1,6 +1,6 @@
 """The cause `process noise`: the Q in use, its age, and limits that were applied to it."""
 
-from insdvl.messages.inputs import Q_TOPICS
+from insdvl.messages.topics import Q_TOPICS
 from insdvl.navigation.events import NS
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.timeline.fold import Fold

@@ -3,7 +3,7 @@
 import signal
 
 from insdvl.studies.faults.expectation import Check
-from insdvl.studies.faults.rows import LEVELLING
+from insdvl.studies.faults.rows.base import LEVELLING
 from ros_insdvl_sim.trials.names import FILTER, IMU
 from ros_insdvl_sim.trials.process_rows.checks import complained, error_below, lost_in_life
 from ros_insdvl_sim.trials.process_rows.flight import LiveFlight, Restart

@@ -1,7 +1,7 @@
 """Faults as changes of a stream of messages.
 
-Each function makes a change, ``change(stream, rng) -> stream``, whose messages say whether they are
-still valid. Times are seconds from the start of the mission.
+Each function makes a change, ``change(stream, rng) -> stream``, and marks messages that are no
+longer valid. Times are seconds from the start of the mission.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -9,18 +9,18 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from insdvl.arrays import Array
+from insdvl.messages.topics import DVL, DVL_WITH_COVARIANCE, IMU
 from insdvl.navigation.events import NS
-from insdvl.recordings import bags
+from insdvl.recordings.messages import twist_message
 from insdvl.studies.faults.link import RelayParameters, links
-from insdvl.studies.faults.stream import DVL, DVL_COVARIANCE, IMU, Arrival, Epoch, Stream
+from insdvl.studies.faults.stream import Arrival, Epoch, Stream
 
-Array = NDArray[np.float64]
 Change = Callable[[Stream, np.random.Generator], Stream]
 Edit = Callable[[Any], Any]
 
-#: Fields of the two triads of an Imu.
+#: Fields of the two vectors of an Imu.
 FORCE, RATE = "linear_acceleration", "angular_velocity"
 
 
@@ -28,7 +28,7 @@ FORCE, RATE = "linear_acceleration", "angular_velocity"
 
 
 def stamped(sec: int, nanosec: int) -> Edit:
-    """A message with another stamp, sensible or not."""
+    """Set the stamp of a message, to a valid one or not."""
 
     def edit(message: Any) -> Any:
         stamp = replace(message.header.stamp, sec=sec, nanosec=nanosec)
@@ -38,51 +38,46 @@ def stamped(sec: int, nanosec: int) -> Edit:
 
 
 def shifted(shift_ns: int) -> Edit:
-    """A message whose stamp is later by a time [ns]."""
+    """Move the stamp of a message [ns]."""
 
     def edit(message: Any) -> Any:
-        stamp = message.header.stamp
-        stamp_ns = stamp.sec * NS + stamp.nanosec + shift_ns
-        return stamped(stamp_ns // NS, stamp_ns % NS)(message)
+        return stamped(*divmod(_stamp_ns(message) + shift_ns, NS))(message)
 
     return edit
 
 
 def framed(frame_id: str) -> Edit:
-    """A message of another frame."""
+    """Set the frame_id of a message."""
     return lambda message: replace(message, header=replace(message.header, frame_id=frame_id))
 
 
 def triad(name: str, change: Callable[[Array], Array]) -> Edit:
-    """An Imu with one of its vectors (3,) changed."""
+    """Change one of the vectors (3,) of an Imu."""
 
     def edit(message: Any) -> Any:
-        field = getattr(message, name)
-        vector = change(np.array([field.x, field.y, field.z]))
-        return replace(message, **{name: bags.vector_message(vector)})
+        return replace(message, **{name: _changed_vector(getattr(message, name), change)})
 
     return edit
 
 
 def velocity(change: Callable[[Array], Array]) -> Edit:
-    """A TwistStamped with its linear velocity (3,) changed."""
+    """Change the linear velocity (3,) of a TwistStamped."""
 
     def edit(message: Any) -> Any:
-        field = message.twist.linear
-        vector = change(np.array([field.x, field.y, field.z]))
-        return replace(message, twist=replace(message.twist, linear=bags.vector_message(vector)))
+        linear = _changed_vector(message.twist.linear, change)
+        return replace(message, twist=replace(message.twist, linear=linear))
 
     return edit
 
 
 def covariance(Q: Array) -> Edit:
-    """An Imu with this covariance (3, 3) of both triads."""
+    """Set both covariances (3, 3) of an Imu."""
     fields = {f"{name}_covariance": Q.ravel() for name in (FORCE, RATE)}
     return lambda message: replace(message, **fields)
 
 
 def axis(k: int, value: float) -> Callable[[Array], Array]:
-    """A vector whose component k is a value."""
+    """Set component k of a vector."""
 
     def change(vector: Array) -> Array:
         vector[k] = value
@@ -102,7 +97,7 @@ def unchanged(stream: Stream, rng: np.random.Generator) -> Stream:
 def edited(
     topic: str, begin: float, end: float, edit: Edit, *, share: float = 1.0, valid: bool = False
 ) -> Change:
-    """Messages of a topic within [begin, end) are changed, all of them or a random share."""
+    """Change the messages of a topic within [begin, end), all of them or a random share."""
 
     def change(stream: Stream, rng: np.random.Generator) -> Stream:
         def each(arrival: Arrival) -> Iterator[Arrival]:
@@ -126,16 +121,16 @@ def added(
     onto: str | None = None,
     first: bool = False,
 ) -> Change:
-    """Beside messages of a topic within [begin, end) there is a changed copy, which is not valid.
+    """Add a changed copy, which is not valid, to messages of a topic within [begin, end).
 
     Args:
-        topic: Of the messages.
+        topic: Topic of the messages.
         begin: [s].
         end: [s].
-        edit: Of the copy.
-        share: Part of the messages that are copied, at random.
-        onto: Topic of the copies, if it is another.
-        first: Whether the copy comes before the message.
+        edit: Changes the copy.
+        share: Share of the messages that are copied, at random.
+        onto: Topic of the copies, if it differs.
+        first: Whether the copy arrives before the message.
     """
 
     def change(stream: Stream, rng: np.random.Generator) -> Stream:
@@ -153,7 +148,7 @@ def added(
 
 
 def dropped(topic: str, begin: float, end: float) -> Change:
-    """Messages of a topic within [begin, end) do not come."""
+    """Drop the messages of a topic within [begin, end)."""
 
     def change(stream: Stream, rng: np.random.Generator) -> Stream:
         return stream.changed(lambda a: () if _inside(stream, a, topic, begin, end) else (a,))
@@ -162,7 +157,7 @@ def dropped(topic: str, begin: float, end: float) -> Change:
 
 
 def held(topic: str, begin: float, end: float) -> Change:
-    """A sensor repeats within [begin, end) what it last said before, under new stamps."""
+    """A sensor repeats its last message before the fault within [begin, end), with new stamps."""
 
     def change(stream: Stream, rng: np.random.Generator) -> Stream:
         last: Any = None
@@ -182,7 +177,7 @@ def held(topic: str, begin: float, end: float) -> Change:
 
 
 def frozen(name: str, k: int, begin: float, end: float) -> Change:
-    """Component k of a triad keeps its value within [begin, end)."""
+    """Component k of a vector of the IMU keeps its value within [begin, end)."""
 
     def change(stream: Stream, rng: np.random.Generator) -> Stream:
         inside = (a for a in stream.arrivals if _inside(stream, a, IMU, begin, end))
@@ -194,7 +189,7 @@ def frozen(name: str, k: int, begin: float, end: float) -> Change:
 
 
 def clipped(name: str, k: int, limit: float, begin: float, end: float, push: float) -> Change:
-    """Component k of a triad reads too much by a push, and ends at plus or minus its limit."""
+    """Component k of a vector of the IMU has an offset and saturates at plus or minus a limit."""
 
     def clip(vector: Array) -> Array:
         vector[k] = np.clip(vector[k] + push, -limit, limit)
@@ -204,7 +199,7 @@ def clipped(name: str, k: int, limit: float, begin: float, end: float, push: flo
 
 
 def outliers(begin: float, end: float, size: float) -> Change:
-    """The DVL is off by a vector of this length within [begin, end), of a new direction each."""
+    """Each DVL velocity within [begin, end) has an error of this length and a random direction."""
 
     def change(stream: Stream, rng: np.random.Generator) -> Stream:
         def off(vector: Array) -> Array:
@@ -219,51 +214,38 @@ def outliers(begin: float, end: float, size: float) -> Change:
 def second_publisher(
     begin: float, end: float, delay: float, onto: str, decimals: int | None = None
 ) -> Change:
-    """A second driver publishes the same DVL measurement again.
+    """A second driver publishes each DVL measurement again.
 
     Args:
         begin: [s].
         end: [s].
-        delay: Its stamps are later by this [s].
-        onto: Its topic; the one with a covariance takes a message of that type.
-        decimals: To which it rounds the velocity [m/s], if it does.
+        delay: How much later its stamps are [s].
+        onto: Its topic, with or without a covariance.
+        decimals: To how many decimals it rounds the velocity [m/s]; None for not at all.
     """
 
     def again(message: Any) -> Any:
         if decimals is not None:
             message = velocity(lambda v: v.round(decimals))(message)
-        if onto == DVL_COVARIANCE:
-            v = message.twist.linear
-            stamp = message.header.stamp
-            message = bags.twist_message(
-                stamp.sec * NS + stamp.nanosec,
-                message.header.frame_id,
-                np.array([v.x, v.y, v.z]),
-                0.01 * np.eye(3),
-            )
+        if onto == DVL_WITH_COVARIANCE:
+            message = _with_covariance(message, 0.01 * np.eye(3))
         return shifted(round(delay * NS))(message)
 
     return added(DVL, begin, end, again, onto=onto)
 
 
 def with_covariance(covariance: Array) -> Edit:
-    """A TwistWithCovarianceStamped with a covariance of any size, from a TwistStamped."""
+    """Give a TwistStamped a covariance field of any size."""
 
     def edit(message: Any) -> Any:
-        v, stamp = message.twist.linear, message.header.stamp
-        made = bags.twist_message(
-            stamp.sec * NS + stamp.nanosec,
-            message.header.frame_id,
-            np.array([v.x, v.y, v.z]),
-            np.eye(3),
-        )
+        made = _with_covariance(message, np.eye(3))
         return replace(made, twist=replace(made.twist, covariance=covariance))
 
     return edit
 
 
 def late(topic: str, begin: float, end: float, delay: float, share: float) -> Change:
-    """A random share of messages within [begin, end) arrives late by a time [s]."""
+    """Delay a random share of the messages within [begin, end) by a time [s]."""
 
     def change(stream: Stream, rng: np.random.Generator) -> Stream:
         def each(arrival: Arrival) -> Iterator[Arrival]:
@@ -277,7 +259,7 @@ def late(topic: str, begin: float, end: float, delay: float, share: float) -> Ch
 
 
 def invalid_when_late(topic: str, begin: float, end: float, delay: float, share: float) -> Change:
-    """As `late`, by more than anyone waits for."""
+    """As `late`, by more than max_delay: the messages are no longer valid."""
 
     def change(stream: Stream, rng: np.random.Generator) -> Stream:
         moved = late(topic, begin, end, delay, share)(stream, rng)
@@ -293,7 +275,7 @@ def invalid_when_late(topic: str, begin: float, end: float, delay: float, share:
 def network(
     loss: float = 0.0, duplication: float = 0.0, delay: float = 0.0, jitter: float = 0.0
 ) -> Change:
-    """Everything goes through a bad link, from the beginning to the end."""
+    """All messages of the whole mission pass a bad link."""
 
     def change(stream: Stream, rng: np.random.Generator) -> Stream:
         topics = tuple(sorted({arrival.topic for arrival in stream.arrivals}))
@@ -318,7 +300,7 @@ def network(
 
 
 def clock_step(at: float, step: float) -> Change:
-    """The clock of the stamps is set at a time, ahead or back [s] of what it is then."""
+    """The clock of the stamps is set ahead (or back) by a step [s] at a time."""
 
     def change(stream: Stream, rng: np.random.Generator) -> Stream:
         step_ns, begin_ns = round(step * NS), stream.mission.start_ns + round(at * NS)
@@ -336,7 +318,7 @@ def clock_step(at: float, step: float) -> Change:
 
 
 def played_again(length: float) -> Change:
-    """A recording of this length [s] that starts over when it is at its end."""
+    """A recording of this length [s] is played twice."""
 
     def change(stream: Stream, rng: np.random.Generator) -> Stream:
         length_ns = round(length * NS)
@@ -349,7 +331,7 @@ def played_again(length: float) -> Change:
 
 
 def unpublished(begin: float, end: float, topics: Sequence[str]) -> Change:
-    """No output is expected of messages of these topics that come within [begin, end)."""
+    """No output is expected of messages of these topics that arrive within [begin, end)."""
 
     def change(stream: Stream, rng: np.random.Generator) -> Stream:
         def each(arrival: Arrival) -> Iterator[Arrival]:
@@ -374,6 +356,18 @@ def all_of(*changes: Change) -> Change:
 
 def _inside(stream: Stream, arrival: Arrival, topic: str, begin: float, end: float) -> bool:
     return arrival.topic == topic and begin <= stream.seconds(arrival) < end
+
+
+def _changed_vector(field: Any, change: Callable[[Array], Array]) -> Any:
+    """A Vector3 with other numbers."""
+    x, y, z = change(np.array([field.x, field.y, field.z])).tolist()
+    return replace(field, x=x, y=y, z=z)
+
+
+def _with_covariance(message: Any, R: Array) -> Any:
+    """A TwistWithCovarianceStamped from a TwistStamped."""
+    v = message.twist.linear
+    return twist_message(_stamp_ns(message), message.header.frame_id, [v.x, v.y, v.z], R)
 
 
 def _stamp_ns(message: Any) -> int:

@@ -1,28 +1,27 @@
-"""What is expected of the filter under a fault, as checks that a machine can make.
+"""Checks of the filter under a fault of messages.
 
-A check looks at all seeds of a row: the flight with the fault beside the one without.
+A check looks at all seeds of a row: the flight with the fault beside the flight without it.
 """
 
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from insdvl.messages.refusals import Refused
+from insdvl.messages.topics import DVL
 from insdvl.navigation.events import NS
+from insdvl.studies.faults import row
 from insdvl.studies.faults.flight import Flight
 
-Array = NDArray[np.float64]
-
-SETTLE = 10.0  # s after the end of a fault, until its consequences should be over
-AFTER = 30.0  # s from then on that are looked at
-CLOSE = 0.05  # m/s: recovered is who is as close as that to the flight without the fault
+SETTLE = 10.0  # s after the end of a fault, when its consequences should be over
+AFTER = 30.0  # s from then on, which are checked
+CLOSE = 0.05  # m/s: largest difference from the flight without the fault that counts as recovered
 MAX_SIGMAS = 3.0
-# The largest of a row. An axis of a Gaussian error that forgets itself in tau passes +-z sigma at a
-# rate of 2 z phi(z) / tau. With nine such (3 axes, 3 seeds) of 150 s and tau = 1 s, of a hundred
-# rows two have one beyond 5 sigma by chance, and beyond 6 one in a hundred such tables has any.
+# The largest of a row. A Gaussian error with a correlation time of tau crosses +-z sigma at a rate
+# of 2 z phi(z) / tau. With nine of them (3 axes, 3 seeds) over 150 s and tau = 1 s, two of a
+# hundred rows exceed 5 sigma by chance; 6 sigma is exceeded in one of a hundred such tables.
 LARGEST_SIGMAS = 6.0
 
 
@@ -30,9 +29,9 @@ class Pair(NamedTuple):
     """One seed of a row.
 
     Attributes:
-        flight: With the fault.
-        calm: Without.
-        begin_ns: Beginning of the fault, on the clock of arrival.
+        flight: The flight with the fault.
+        calm: The flight without it.
+        begin_ns: Beginning of the fault, as a time of arrival.
         end_ns: Its end.
     """
 
@@ -43,14 +42,14 @@ class Pair(NamedTuple):
 
     @property
     def after_ns(self) -> tuple[int, int]:
-        """The time in which the consequences should be over."""
+        """Beginning and end of the time in which the consequences should be over."""
         begin_ns = self.end_ns + round(SETTLE * NS)
         return begin_ns, begin_ns + round(AFTER * NS)
 
     def recovery(self) -> float | None:
         """Time from the fault's end until the velocity stays `CLOSE` to the calm flight's [s].
 
-        None where it does not, or where nothing comes any more.
+        None where it does not, or where nothing is published any more.
         """
         until_ns = self.after_ns[1]
         _, a, b = np.intersect1d(self.flight.times_ns, self.calm.times_ns, return_indices=True)
@@ -69,19 +68,7 @@ class Pair(NamedTuple):
 
 
 Pairs = Sequence[Pair]
-
-
-@dataclass(frozen=True)
-class Check:
-    """An expectation.
-
-    Attributes:
-        text: In words.
-        judge: What is seen, in words, and whether it is as expected.
-    """
-
-    text: str
-    judge: Callable[[Pairs], tuple[str, bool]]
+Check = row.Check[Pairs]
 
 
 def _range(values: Sequence[float], form: str) -> str:
@@ -90,7 +77,7 @@ def _range(values: Sequence[float], form: str) -> str:
 
 
 def same_bits() -> Check:
-    """What is published is what is published without the fault, to the bit."""
+    """The published numbers are those without the fault, to the bit."""
 
     def judge(pairs: Pairs) -> tuple[str, bool]:
         same = [pair.flight.digest == pair.calm.digest for pair in pairs]
@@ -100,18 +87,18 @@ def same_bits() -> Check:
 
 
 def refused(reason: str, *topics: str) -> Check:
-    """Every message that the fault touched is refused for this reason, and no other message is.
+    """Every message that the fault touches is refused for this reason, and no other message is.
 
     Args:
         reason: The reason.
-        topics: That the fault touches.
+        topics: Topics that the fault touches.
     """
-    keys = [f"{topic}: {reason}" for topic in topics]
+    keys = [Refused(topic, reason) for topic in topics]
 
     def judge(pairs: Pairs) -> tuple[str, bool]:
         counts = [sum(pair.flight.refused.get(key, 0) for key in keys) for pair in pairs]
         touched = [sum(pair.flight.faulted.get(topic, 0) for topic in topics) for pair in pairs]
-        others: Counter[str] = Counter()
+        others: Counter[Refused] = Counter()
         for pair in pairs:
             others.update({k: n for k, n in pair.flight.refused.items() if k not in keys})
         text = f"`{reason}` {_range(counts, 'd')} of {_range(touched, 'd')}"
@@ -123,10 +110,10 @@ def refused(reason: str, *topics: str) -> Check:
 
 
 def nothing_refused() -> Check:
-    """No message is refused, or all that were are recovered."""
+    """No message is refused, or all refused ones are recovered."""
 
     def judge(pairs: Pairs) -> tuple[str, bool]:
-        names = sorted({name for pair in pairs for name in pair.flight.refused})
+        names = sorted({str(key) for pair in pairs for key in pair.flight.refused})
         recovered = [pair.flight.counts.get("recovered", 0) for pair in pairs]
         kept = all(
             sum(pair.flight.refused.values()) == count
@@ -138,14 +125,14 @@ def nothing_refused() -> Check:
     return Check("no message refused for good", judge)
 
 
-def update_reason(reason: str, share: float = 1.0, *, topic: str = "dvl/velocity") -> Check:
-    """At least a share of the DVL measurements that the fault touched are refused so."""
+def update_reason(reason: str, share: float = 1.0, *, topic: str = DVL) -> Check:
+    """At least a share of the measurements that the fault touches are refused for this reason."""
 
     def judge(pairs: Pairs) -> tuple[str, bool]:
         counts = [
             sum(
-                why == reason and pair.begin_ns <= stamp_ns < pair.end_ns
-                for _, stamp_ns, why in pair.flight.updates
+                update.reason == reason and pair.begin_ns <= update.stamp_ns < pair.end_ns
+                for update in pair.flight.updates
             )
             for pair in pairs
         ]
@@ -158,7 +145,7 @@ def update_reason(reason: str, share: float = 1.0, *, topic: str = "dvl/velocity
 
 
 def counter(name: str, low: int, high: int | None = None) -> Check:
-    """A counter of the fold is within a range at the end."""
+    """A counter of the fold is within a range at the end of the flight."""
     high = low if high is None else high
 
     def judge(pairs: Pairs) -> tuple[str, bool]:
@@ -169,7 +156,7 @@ def counter(name: str, low: int, high: int | None = None) -> Check:
 
 
 def covered(least: float = 0.95) -> Check:
-    """From the fault's beginning to the end of what is looked at, the sigma tells the error."""
+    """Sigma covers the error, from the beginning of the fault to the end of what is checked."""
 
     def judge(pairs: Pairs) -> tuple[str, bool]:
         ratios = np.concatenate(
@@ -191,7 +178,7 @@ def covered(least: float = 0.95) -> Check:
 
 
 def recovers(within: float) -> Check:
-    """The velocity is back at that of the flight without the fault."""
+    """The velocity returns to that of the flight without the fault."""
 
     def judge(pairs: Pairs) -> tuple[str, bool]:
         times = [pair.recovery() for pair in pairs]
@@ -205,7 +192,7 @@ def recovers(within: float) -> Check:
 
 
 def error_below(limit: float) -> Check:
-    """No velocity error above a limit from the fault's beginning on."""
+    """No velocity error is above a limit from the beginning of the fault on."""
 
     def judge(pairs: Pairs) -> tuple[str, bool]:
         errors = [
@@ -221,26 +208,33 @@ def error_below(limit: float) -> Check:
 
 
 def rejoins() -> Check:
-    """The gate does not lock out: the last measurements of what is looked at are used."""
+    """The gate does not lock out: the measurements after the fault are used."""
 
     def judge(pairs: Pairs) -> tuple[str, bool]:
         shares = []
         for pair in pairs:
             begin_ns, end_ns = pair.after_ns
-            used = [not why for t, _, why in pair.flight.updates if begin_ns <= t < end_ns]
-            shares.append(float(np.mean(used)) if used else 0.0)
+            accepted = [
+                not update.reason
+                for update in pair.flight.updates
+                if begin_ns <= update.time_ns < end_ns
+            ]
+            shares.append(float(np.mean(accepted)) if accepted else 0.0)
         return f"{100.0 * min(shares):.0f} % of the DVL used afterwards", min(shares) >= 0.9
 
     return Check("DVL used again afterwards", judge)
 
 
 def used(least: int) -> Check:
-    """At least so many DVL measurements of the time of the fault are used."""
+    """At least this many DVL measurements are used during the fault."""
 
     def judge(pairs: Pairs) -> tuple[str, bool]:
         counts = [
-            sum(not why and p.begin_ns <= t < p.end_ns for t, _, why in p.flight.updates)
-            for p in pairs
+            sum(
+                not update.reason and pair.begin_ns <= update.time_ns < pair.end_ns
+                for update in pair.flight.updates
+            )
+            for pair in pairs
         ]
         return f"{_range(counts, 'd')} used", min(counts) >= least
 
@@ -248,7 +242,7 @@ def used(least: int) -> Check:
 
 
 def stops() -> Check:
-    """Nothing is published from the fault's beginning on."""
+    """Nothing is published from the beginning of the fault on."""
 
     def judge(pairs: Pairs) -> tuple[str, bool]:
         outputs = sum(int((pair.flight.times_ns >= pair.begin_ns).sum()) for pair in pairs)
@@ -258,7 +252,7 @@ def stops() -> Check:
 
 
 def always() -> tuple[Check, ...]:
-    """What holds under every fault."""
+    """What must hold under every fault."""
 
     def invariant(text: str, name: str) -> Check:
         def judge(pairs: Pairs) -> tuple[str, bool]:

@@ -1,56 +1,68 @@
-"""A stream of messages through the filter, as its node takes them, and what came out."""
+"""A stream of messages through the filter, as its node takes them, and what it publishes."""
 
 import hashlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from insdvl.messages import convert as messages
-from insdvl.messages.convert import RejectedMessage
-from insdvl.messages.inputs import Inputs
+from insdvl.arrays import Array, Stamps
+from insdvl.messages.convert import stamp_ns as stamp_of
+from insdvl.messages.feed import Feed
+from insdvl.messages.refusals import Refused
+from insdvl.messages.topics import IMU, measurement_of
 from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.frames import ENU, rpy_from_rotation
 from insdvl.navigation.odometry import Odometry
 from insdvl.navigation.parameters import FilterParameters, InitialParameters
 from insdvl.parameters.declaration import build
 from insdvl.simulation.mission import Mission
-from insdvl.studies.faults.stream import DVL, IMU, Arrival, Sensors, Stream, learned_from
+from insdvl.studies.faults.stream import Arrival, Sensors, Stream, learned_from
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.jumps import TimeJump
 from insdvl.timeline.output import AppliedUpdate
 from insdvl.tuner.tuner import Tuner
 
-Array = NDArray[np.float64]
-Stamps = NDArray[np.int64]
+_COVARIANCE_EVERY_NS = NS // 10  # of stamps, between two checks of the whole covariance
 
-_COVARIANCE_EVERY_NS = NS // 10  # of stamps, between two looks at the whole covariance
+
+class FlownUpdate(NamedTuple):
+    """A measurement, judged by the filter.
+
+    Attributes:
+        time_ns: Time of arrival of the message that led to it.
+        stamp_ns: Stamp of the measurement.
+        reason: Why it was not accepted; empty where it was.
+    """
+
+    time_ns: int
+    stamp_ns: int
+    reason: str
 
 
 @dataclass(frozen=True)
 class Flight:
-    """What the filter published of a stream, against the truth.
+    """What the filter published of a stream, compared with the truth.
 
     Attributes:
-        times_ns: (N,) time of arrival that each published stamp stands for.
-        truth_ns: (N,) time of the mission that it stands for.
+        times_ns: (N,) time of arrival that corresponds to each published stamp.
+        truth_ns: (N,) time of the mission that corresponds to it.
         v_b: (N, 3) published body velocity [m/s], stream axes.
         error: (N, 3) its error.
         sigma: (N, 3) its standard deviation.
-        digest: Of all published odometry but its stamps, to the bit.
-        updates: Time of arrival, stamp and reason of every DVL update; the reason of an accepted
-            one is empty.
-        refused: Messages that were not used, by ``topic: reason``.
+        digest: Digest of all published odometry without its stamps.
+        updates: The measurements that were judged.
+        refused: Messages that were not used, by topic and reason.
         counts: Counters of the fold at the end.
         lost: Valid messages that are in no output.
         faulted: Messages that are not valid, by topic.
-        finite: Whether every number that was published is.
+        finite: Whether every published number is finite.
         positive: Whether the covariance of the error state was symmetric and positive throughout.
-        monotonic: Whether published stamps rise, but for the beginnings of epochs.
+        monotonic: Whether published stamps increase within each epoch.
     """
 
     times_ns: Stamps
@@ -59,8 +71,8 @@ class Flight:
     error: Array
     sigma: Array
     digest: str
-    updates: list[tuple[int, int, str]]
-    refused: dict[str, int]
+    updates: list[FlownUpdate]
+    refused: dict[Refused, int]
     counts: dict[str, int]
     lost: int
     faulted: dict[str, int]
@@ -69,20 +81,20 @@ class Flight:
     monotonic: bool
 
     def inside(self, begin_ns: int, end_ns: int) -> NDArray[np.bool_]:
-        """Which outputs are of times of arrival within [begin, end)."""
+        """Which outputs have times of arrival within [begin, end)."""
         return (self.times_ns >= begin_ns) & (self.times_ns < end_ns)
 
 
 def parameters_of(
     mission: Mission, sensors: Sensors, seed: int, changes: Mapping[str, Any]
 ) -> FilterParameters:
-    """Parameters that fit the mission; the initial state is true but for an error drawn from P_0.
+    """Parameters that fit the mission; the initial state has an error drawn from P_0.
 
     Args:
-        mission: What is to be navigated.
-        sensors: With what.
-        seed: Of the error.
-        changes: Names and values on top.
+        mission: The mission.
+        sensors: What navigates.
+        seed: Random seed of the error.
+        changes: Further parameters, by name.
     """
     sigma, rng = InitialParameters(), np.random.default_rng([seed, 2])
     truth = mission.truth
@@ -106,36 +118,27 @@ def fly(stream: Stream, parameters: FilterParameters, tuner: Tuner | None = None
 
     Args:
         stream: The messages.
-        parameters: Of the filter.
-        tuner: Tells the process noise that it learns from the same messages of the IMU.
+        parameters: Parameters of the filter.
+        tuner: Publishes the process noise that it learns from the same IMU messages.
     """
-    fold, inputs = Fold(parameters), Inputs(parameters)
+    feed = Feed(parameters)
     out = _Outputs(stream)
-    refused: Counter[str] = Counter()
     arrivals = stream.arrivals if tuner is None else _with_learned(stream.arrivals, tuner)
     for time_ns, topic, message, _ in arrivals:
-        if topic not in inputs.topics:
+        if topic not in feed.inputs.topics:
             continue
-        try:
-            for event in inputs.events(topic, message, fold):
-                refusal = fold.add(event)
-                if refusal is not None:
-                    refused[f"{topic}: {refusal}"] += 1
-        except RejectedMessage as rejection:
-            refused[f"{topic}: {rejection.reason}"] += 1
-        for output in fold.take():
+        feed.give(topic, message)
+        for output in feed.fold.take():
             if isinstance(output, AppliedUpdate):
                 reason = "" if output.report.accepted else output.report.reason
-                out.updates.append((time_ns, output.stamp_ns, reason))
-            elif isinstance(output, TimeJump):
-                inputs.reset()
-            else:
-                out.add(output, time_ns, fold)
-    return out.flight(parameters, dict(refused), fold.counts)
+                out.updates.append(FlownUpdate(time_ns, output.stamp_ns, reason))
+            elif not isinstance(output, TimeJump):
+                out.add(output, time_ns, feed.fold)
+    return out.flight(parameters, dict(feed.refused), feed.fold.counts)
 
 
 def _with_learned(arrivals: Iterable[Arrival], tuner: Tuner) -> Iterator[Arrival]:
-    """Messages, and the process noise that a tuner learns from those of the IMU."""
+    """Messages, and the process noise that a tuner learns from the IMU messages."""
     for arrival in arrivals:
         yield arrival
         if arrival.topic == IMU and (learned := learned_from(arrival, tuner)):
@@ -143,18 +146,18 @@ def _with_learned(arrivals: Iterable[Arrival], tuner: Tuner) -> Iterator[Arrival
 
 
 class _Outputs:
-    """Collects what is published."""
+    """Collects what is published, and compares it with the truth."""
 
     def __init__(self, stream: Stream) -> None:
         self.stream = stream
-        self.updates: list[tuple[int, int, str]] = []
+        self.updates: list[FlownUpdate] = []
         self.rows: list[tuple[int, int, Array, Array]] = []
         self.digest = hashlib.sha256()
         self.finite = self.positive = self.monotonic = True
         self.epochs: list[int] = []
         self.stamps: Counter[int] = Counter()
         self.newest_ns: int | None = None
-        self.looked_ns = -NS
+        self.checked_ns = -NS
 
     def add(self, output: Odometry, now_ns: int, fold: Fold) -> None:
         numbers = np.concatenate(
@@ -169,12 +172,12 @@ class _Outputs:
         )
         self.digest.update(numbers.tobytes())
         self.finite &= bool(np.isfinite(numbers).all())
-        if abs(output.stamp_ns - self.looked_ns) >= _COVARIANCE_EVERY_NS:
-            self.looked_ns = output.stamp_ns
+        if abs(output.stamp_ns - self.checked_ns) >= _COVARIANCE_EVERY_NS:
+            self.checked_ns = output.stamp_ns
             self.positive &= _positive(fold.filter.covariance(fold.latest))  # type: ignore[arg-type]
         self.stamps[output.stamp_ns] += 1
         k = self.stream.epoch_of(output.stamp_ns, now_ns)
-        if k is None:  # a stamp of no time at all
+        if k is None:  # a stamp of no epoch
             self.monotonic = False
             return
         same = bool(self.epochs) and self.epochs[-1] == k
@@ -188,15 +191,15 @@ class _Outputs:
         self.rows.append((time_ns, time_ns + epoch.truth_ns, output.twist_linear, sigma))
 
     def flight(
-        self, parameters: FilterParameters, refused: dict[str, int], counts: dict[str, int]
+        self, parameters: FilterParameters, refused: dict[Refused, int], counts: dict[str, int]
     ) -> Flight:
-        """All of it, against the truth."""
+        """All that was published, compared with the truth."""
         times, truths, velocities, sigmas = zip(*self.rows, strict=True)
         truth_ns, v_b = np.array(truths, dtype=np.int64), np.array(velocities)
         mission = self.stream.mission
         k = np.searchsorted(mission.stamps_ns, truth_ns)
         if not np.array_equal(mission.stamps_ns[k], truth_ns):
-            raise ValueError("an output is of no stamp of the mission")
+            raise ValueError("an output has a stamp that the mission does not have")
         true_v_b = np.einsum("kji,kj->ki", mission.truth.C_n_b[k], mission.truth.v_n[k]) @ ENU.body
         faulted = Counter(a.topic for a in self.stream.arrivals if not a.valid)
         return Flight(
@@ -219,15 +222,15 @@ class _Outputs:
     def _lost(self, parameters: FilterParameters) -> int:
         """Valid messages without an output of their stamp.
 
-        Those that an initialisation waits for, or that `output_delay` still keeps back, are not
-        lost.
+        Those before the end of an initialisation, and those that `output_delay` still holds back,
+        are not lost.
         """
         stream = self.stream
         valid = [
             (stamp_ns, stream.epoch_of(stamp_ns, arrival.time_ns), arrival.topic)
             for arrival in stream.arrivals
-            if arrival.valid and arrival.topic in (IMU, DVL)
-            for stamp_ns in (messages.stamp_ns(arrival.message.header),)
+            if arrival.valid and (arrival.topic == IMU or measurement_of(arrival.topic))
+            for stamp_ns in (stamp_of(arrival.message.header),)
         ]
         wait = parameters.initial.levelling_time if parameters.initial.mode == "levelling" else 0.0
         first: dict[int | None, int] = {}
@@ -237,13 +240,13 @@ class _Outputs:
         last = len(stream.epochs) - 1
         until_ns = max((stamp_ns for stamp_ns, epoch, _ in valid if epoch == last), default=0)
         until_ns -= round(parameters.output_delay * NS)
-        due: dict[str, Counter[int]] = {IMU: Counter(), DVL: Counter()}
+        samples, measurements = Counter[int](), Counter[int]()
         for stamp_ns, epoch, topic in valid:
             early = epoch in first and stamp_ns < first[epoch]
             if not early and not (epoch == last and stamp_ns > until_ns):
-                due[topic][stamp_ns] += 1
-        updated = Counter(stamp_ns for _, stamp_ns, _ in self.updates)
-        return (due[IMU] - self.stamps).total() + (due[DVL] - updated).total()
+                (samples if topic == IMU else measurements)[stamp_ns] += 1
+        updated = Counter(update.stamp_ns for update in self.updates)
+        return (samples - self.stamps).total() + (measurements - updated).total()
 
 
 def _positive(P: Array) -> bool:

@@ -1,31 +1,31 @@
-"""Messages of an adversary: most could be true, the others are anything that fits the type."""
+"""Random messages of an adversary: most are plausible, the others hold anything the type allows."""
 
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from insdvl.messages.inputs import FIX, IMU, ODOMETRY, TWIST, TWIST_WITH_COVARIANCE
+from insdvl.arrays import Array
+from insdvl.messages import topics as names
+from insdvl.messages.convert import FIX, IMU, ODOMETRY, TWIST, TWIST_WITH_COVARIANCE
 from insdvl.navigation.events import NS
-from insdvl.recordings import bags
+from insdvl.recordings.base import new_message
+from insdvl.recordings.messages import imu_message, odometry_message, twist_message
 
-Array = NDArray[np.float64]
-
-#: Numbers that programs trip over.
+#: Numbers that break programs.
 ODD = (np.nan, np.inf, -np.inf, 1e308, -1e300, 1e155, 1e30, 1e12, 1e-310, -0.0, 0.0)
 _STEP_NS = NS // 100
 
 
 class Adversary:
-    """Draws messages; time goes on, mostly.
+    """Draws messages, mostly with increasing stamps.
 
     Args:
-        rng: All that is random.
-        start_ns: Stamp of the beginning.
-        odd: Probability that a field of a message is anything.
-        wire: Only what can be serialised: no covariance of another size.
+        rng: Random numbers.
+        start_ns: First stamp.
+        odd: Probability that a field of a message is implausible.
+        wire: Whether every message must be serialisable: no covariance of a wrong size.
     """
 
     def __init__(
@@ -48,21 +48,35 @@ class Adversary:
             FIX: self._fix,
         }
 
-    def messages(self, topics: dict[str, str], count: int) -> Iterator[tuple[str, Any]]:
-        """Topics and messages; a sample of imu/data_raw is as likely as all others together.
+    def messages(self, types: Mapping[str, str], count: int) -> Iterator[tuple[str, Any]]:
+        """Topics and messages; four of five are samples of imu/data_raw.
 
         Args:
-            topics: Type of each topic.
+            types: Message type of each topic.
             count: Number of messages.
         """
-        names = list(topics)
+        topics = list(types)
         for _ in range(count):
-            imu = self._rng.random() < 0.8 and "imu/data_raw" in topics
-            topic = "imu/data_raw" if imu else names[self._rng.integers(len(names))]
-            if topic == "imu/data_raw":
+            imu = self._rng.random() < 0.8 and names.IMU in types
+            topic = names.IMU if imu else topics[self._rng.integers(len(topics))]
+            if topic == names.IMU:
                 self._now_ns += _STEP_NS
-            message = self._makers[topics[topic]]()
+            maker = self._makers.get(types[topic])
+            message = self._any(types[topic]) if maker is None else maker()
             yield topic, replace(message, header=self._header(message.header))
+
+    def _any(self, kind: str) -> Any:
+        """A message of a type without a maker of its own, with random numbers in all its fields."""
+        message = new_message(kind)
+        for field in fields(message):
+            value = getattr(message, field.name)
+            if isinstance(value, float):
+                setattr(message, field.name, float(self._numbers(1, 0.0, 1.0)[0]))
+            elif isinstance(value, np.ndarray) and value.dtype == np.float64:
+                setattr(message, field.name, self._numbers(value.size, 0.0, 1.0))
+            elif hasattr(value, "__msgtype__") and field.name != "header":
+                setattr(message, field.name, self._any(value.__msgtype__))
+        return message
 
     def _is_odd(self) -> bool:
         return bool(self._rng.random() < self._odd)
@@ -80,7 +94,7 @@ class Adversary:
         now_ns, rng = self._now_ns, self._rng
         if not self._is_odd():
             return divmod(now_ns, NS)
-        if rng.random() < 0.02:  # the clock is set, for good
+        if rng.random() < 0.02:  # the clock is set, and stays so
             self._now_ns = int(rng.integers(1, 2**31 - 10_000)) * NS
             return divmod(self._now_ns, NS)
         stamps = (
@@ -120,7 +134,7 @@ class Adversary:
 
     def _imu(self) -> Any:
         f = self._numbers(3, np.array([0.0, 0.0, 9.8]), 0.1)
-        message = bags.imu_message(0, "", f, self._numbers(3, 0.0, 0.03))
+        message = imu_message(0, "", f, self._numbers(3, 0.0, 0.03))
         return replace(
             message,
             linear_acceleration_covariance=self._covariance(3),
@@ -128,10 +142,10 @@ class Adversary:
         )
 
     def _twist(self) -> Any:
-        return bags.twist_message(0, "", self._numbers(3, 0.0, 0.1))
+        return twist_message(0, "", self._numbers(3, 0.0, 0.1))
 
     def _twist_with_covariance(self) -> Any:
-        message = bags.twist_message(0, "", self._numbers(3, 0.0, 0.1), np.eye(3))
+        message = twist_message(0, "", self._numbers(3, 0.0, 0.1), np.eye(3))
         return replace(message, twist=replace(message.twist, covariance=self._covariance(6)))
 
     def _odometry(self) -> Any:
@@ -139,7 +153,7 @@ class Adversary:
         q /= np.linalg.norm(q)
         if self._is_odd():
             q[self._rng.integers(4)] = ODD[self._rng.integers(len(ODD))]
-        message = bags.odometry_message(
+        message = odometry_message(
             0,
             ("odom", "base_link"),
             self._numbers(3, 0.0, 10.0),
@@ -152,19 +166,10 @@ class Adversary:
         return replace(message, pose=pose, twist=twist)
 
     def _fix(self) -> Any:
-        status = bags.new_message(
-            "sensor_msgs/msg/NavSatStatus",
-            status=int(self._rng.integers(-2, 3)),
-            service=1,
-        )
-        latitude, longitude, altitude = self._numbers(3, np.array([32.0, 34.0, 0.0]), 1.0)
-        return bags.new_message(
-            FIX,
-            header=bags.header_message(0, ""),
-            status=status,
-            latitude=float(latitude),
-            longitude=float(longitude),
-            altitude=float(altitude),
-            position_covariance=self._covariance(3),
-            position_covariance_type=0,
-        )
+        message = new_message(FIX)
+        message.status.status = int(self._rng.integers(-2, 3))
+        message.status.service = 1
+        numbers = self._numbers(3, np.array([32.0, 34.0, 0.0]), 1.0)
+        message.latitude, message.longitude, message.altitude = numbers.tolist()
+        message.position_covariance = self._covariance(3)
+        return message

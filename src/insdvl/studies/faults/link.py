@@ -1,58 +1,59 @@
-"""A bad link: which messages it loses, how long it takes for the others, and which come twice."""
+"""A bad link: which messages it loses, how much it delays the others, and which it duplicates."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from insdvl.messages.topics import DVL, IMU
 from insdvl.parameters.declaration import ParameterError, parameter
 
 
 @dataclass(frozen=True)
 class RelayParameters:
-    """Parameters of the relay, a link that loses, delays, reorders and doubles messages."""
+    """Parameters of the relay: a link that loses, delays, reorders and duplicates messages."""
 
     topics: tuple[str, ...] = parameter(
-        ("imu/data_raw", "dvl/velocity"),
-        "What is sent on: topics that the filter takes, or the simulator's truth.",
+        (IMU, DVL),
+        "Topics that are relayed: inputs of the filter, or the simulator's truth.",
     )
     prefix: str = parameter(
-        "sent/", "Each topic is taken from this and its name, and sent on by its name alone."
+        "sent/", "Each topic is received under this prefix and its name, and sent under its name."
     )
     loss: float = parameter(0.0, "Probability that a message is lost.", low=0.0, high=1.0)
     duplication: float = parameter(
-        0.0, "Probability that a message that is not lost arrives twice.", low=0.0, high=1.0
+        0.0, "Probability that a message that is not lost is duplicated.", low=0.0, high=1.0
     )
     delay: float = parameter(
-        0.0, "Time that every message takes at least, of the wall.", unit="s", low=0.0, high=60.0
+        0.0, "Smallest delay of each message, in wall time.", unit="s", low=0.0, high=60.0
     )
     jitter: float = parameter(
         0.0,
-        "Largest further delay; each copy of a message has one of its own, evenly distributed, so "
-        "messages that are closer than that overtake each other.",
+        "Largest further delay. It is uniformly distributed and drawn for each copy of a message: "
+        "messages that are closer than this may overtake each other.",
         unit="s",
         low=0.0,
         high=60.0,
     )
     seed: int = parameter(
-        1, "Of all that is random: it decides what becomes of a topic's n-th message.", low=0
+        1, "Random seed; it decides what happens to the n-th message of each topic.", low=0
     )
 
     def __post_init__(self) -> None:
         if not self.prefix:
             raise ParameterError(
-                "parameter 'prefix' must not be empty: the relay would hear itself"
+                "parameter 'prefix' must not be empty: the relay would receive its own messages"
             )
 
 
 class Link:
-    """What becomes of the messages of one topic, one after the other.
+    """What happens to the messages of one topic, one after the other.
 
-    Every message draws the same four numbers, whatever the settings are. So a seed decides what
-    becomes of the n-th message, and two settings can be compared on the same draws.
+    Every message draws the same four numbers, whatever the parameters are. So a seed decides what
+    happens to the n-th message, and two sets of parameters can be compared on the same draws.
 
     Args:
-        parameters: Of the link.
-        rng: Of this topic alone.
+        parameters: Parameters of the link.
+        rng: Random numbers of this topic alone.
     """
 
     def __init__(self, parameters: RelayParameters, rng: np.random.Generator) -> None:
@@ -60,7 +61,7 @@ class Link:
         self._rng = rng
 
     def delays(self) -> tuple[float, ...]:
-        """Delay of each copy of the next message that arrives [s]; none where it is lost."""
+        """Delay of each copy of the next message [s]; empty where it is lost."""
         chance_of_loss, chance_of_copy, *shares = self._rng.random(4).tolist()
         if chance_of_loss < self._parameters.loss:
             return ()
@@ -71,7 +72,7 @@ class Link:
 
 
 def links(parameters: RelayParameters) -> dict[str, Link]:
-    """A link for each topic; their randomness is independent, and all of it follows the seed."""
+    """A link for each topic; their random numbers are independent and follow from the seed."""
     generators = np.random.default_rng(parameters.seed).spawn(len(parameters.topics))
     return {
         topic: Link(parameters, generator)

@@ -1,4 +1,4 @@
-"""The rows of the fault matrix, flown and judged."""
+"""The rows of messages and time, flown and judged."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -6,39 +6,33 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from insdvl.navigation.events import NS
 from insdvl.studies.faults.checks import Pair, always
 from insdvl.studies.faults.flight import Flight, fly, parameters_of
-from insdvl.studies.faults.rows import ROWS, Row
+from insdvl.studies.faults.rows import ROWS
+from insdvl.studies.faults.rows.base import FlightRow
 from insdvl.studies.faults.stream import Sensors, stream_of
 from insdvl.tuner.parameters import TunerParameters
 from insdvl.tuner.tuner import Tuner
 
-Array = NDArray[np.float64]
 
+def judged(row: FlightRow) -> dict[str, Any]:
+    """Fly a row and judge it: its numbers, as JSON takes them.
 
-def judged(row: Row) -> dict[str, Any]:
-    """A row with its numbers, as JSON takes it.
-
-    Velocity errors are RMS over time and seeds of the vector in body axes [m/s], during the fault
-    (of an instant: over the 5 s after it) and after it, each with that of the same time without
-    the fault.
+    Velocity errors are RMS over time and seeds of the vector in body axes [m/s]: during the fault
+    (if it is an instant: over the 5 s after it) and after it, each with the error of the flight
+    without the fault at the same time.
     """
     pairs = [pair(row, seed) for seed in row.seeds]
-    seen = []
-    for check in (*row.checks, *always()):
-        text, holds = check.judge(pairs)
-        told = {"expected": check.text, "seen": text, "met": holds}
-        seen.append(told if check in row.checks else told | {"always": True})
+    seen = row.judged(pairs, always())
     recoveries = [p.recovery() for p in pairs]
     known = [time for time in recoveries if time is not None]
     end_ns = [max(p.end_ns, p.begin_ns + 5 * NS) for p in pairs]
     during = [(p.begin_ns, end) for p, end in zip(pairs, end_ns, strict=True)]
     after = [p.after_ns for p in pairs]
     return {
-        "group": row.group,
+        "group": row.subject,
         "fault": row.name,
         "seeds": len(row.seeds),
         "error_during": _rms(pairs, during, "flight"),
@@ -48,20 +42,20 @@ def judged(row: Row) -> dict[str, Any]:
         "recovery": max(known) if len(known) == len(recoveries) else None,
         "lost": sum(p.flight.lost for p in pairs),
         "checks": seen,
-        "met": all(told["met"] for told in seen),
+        "met": all(check["met"] for check in seen),
     }
 
 
 def judged_row(number: int) -> dict[str, Any]:
-    """A row of `ROWS` by its number, as another process is told of it."""
+    """Fly and judge a row of `ROWS` by its number, which can be sent to another process."""
     return judged(ROWS[number])
 
 
-def pair(row: Row, seed: int) -> Pair:
-    """A seed of a row, flown with the fault and without."""
+def pair(row: FlightRow, seed: int) -> Pair:
+    """Fly a seed of a row with the fault and without."""
     stream = stream_of(row.sensors, seed, row.duration)
     parameters = parameters_of(stream.mission, row.sensors, seed, row.parameters)
-    faulted = row.change(stream, np.random.default_rng([seed, 3]))
+    faulted = row.fault(stream, np.random.default_rng([seed, 3]))
     flight = fly(faulted, parameters, _tuner(row.sensors))
     shift_ns = 0
     if row.calm is not None:

@@ -1,4 +1,4 @@
-"""The page docs/reliability.md, written from the numbers of its parts.
+"""The page docs/reliability.md, generated from the numbers of its parts.
 
 Sentences here say what was done; every number and every verdict comes from the documents.
 """
@@ -48,8 +48,8 @@ def markdown(parts: Documents) -> str:
 _INTRODUCTION = """
 # Reliability
 
-What may happen to messages, clocks, processes and networks, what is expected of the filter then,
-and what was seen. The page is written by two commands from what they measure:
+Faults of messages, clocks, processes and networks: what is expected of the filter, and what was
+measured. Two commands measure it and write this page:
 
 ```
 make faults                        # the fault matrix: about half an hour on two cores
@@ -59,14 +59,14 @@ make soak ARGS="--hours 0 --core-hours 10 --steps 10"   # the core alone
 
 The numbers are in [reliability/](reliability/). {verdict}
 
-Every expectation is checked by the program that measures; a row is met when all of its
-expectations are. Beside what its row names, each fault of messages, time or network must leave
-the output finite, the covariance of the error state symmetric and positive definite, and the
-published stamps rising, and no valid message may be lost: each valid IMU sample is in the output
-with its stamp, each valid DVL measurement was judged. Of processes the output is looked at in the
-same way where a row has errors: finite, with positive variances of the velocity, stamps rising, no
-sample lost. What each reason means is in [diagnostics.md](reference/diagnostics.md),
-why the filter does what it does in [filter.md](explanation/filter.md).
+The commands check every expectation; a row is met if all of its expectations are. In addition, with
+each fault of messages, time or network the output must be finite, the covariance of the error state
+symmetric and positive definite, the published stamps must increase, and no valid message may be
+lost: each valid IMU sample is in the output with its stamp, and each valid DVL measurement was
+judged. For processes the output is checked in the same way where a row has errors: it must be
+finite, with positive variances of the velocity, increasing stamps and no lost sample. The reasons
+are explained in [diagnostics.md](reference/diagnostics.md), the behaviour of the filter in
+[filter.md](explanation/filter.md).
 """
 
 
@@ -86,7 +86,7 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 def _cells(row: Mapping[str, Any]) -> list[str]:
     """Fault, expected, seen, errors, recovery, messages lost, met.
 
-    What holds under every fault is told where it does not.
+    What must hold under every fault is shown where it does not.
     """
     checks = [check for check in row["checks"] if not (check.get("always") and check["met"])]
     recovery = "–" if row["recovery"] is None else f"{row['recovery']:.1f}"
@@ -133,16 +133,16 @@ def _groups(rows: Sequence[Mapping[str, Any]]) -> str:
 _MESSAGES = """
 ## Messages and time
 
-A simulated AUV at 100 Hz and 1 Hz; a fault changes its messages, and the changed messages go
-through the filter as its node takes them, one after the other. The noise is that of the scenario
-`constant` (0.1 m/s² and 0.03 rad/s per sample), or *good*, that of `constant-tableI` (0.01 m/s²,
-0.001 rad/s). Rows whose numbers depend on the noise are of three seeds; the same seeds give the
-same bits.
+A simulated AUV with an IMU at 100 Hz and a DVL at 1 Hz. A fault changes the messages, and the
+filter takes the changed messages one after the other, as its node does. The noise is that of the
+scenario `constant` (0.1 m/s² and 0.03 rad/s per sample) or, for a *good* IMU, that of
+`constant-tableI` (0.01 m/s², 0.001 rad/s). Rows that depend on the noise are flown with three
+seeds; the same seeds give the same bits.
 
-Errors are RMS of the vector of the body velocity over all seeds: *during* the fault (of an
-instant: over the 5 s after it) and *after* it (10 to 40 s after its end), in brackets over the
-same time of the same flight without the fault. *Recovery* is the time from the end of the fault
-until the velocity stays within 0.05 m/s of that flight, in the slowest seed.
+Errors are the RMS of the body velocity vector over all seeds: *during* the fault (if it is an
+instant: over the 5 s after it) and *after* it (10 to 40 s after its end); in brackets the error of
+the same flight without the fault over the same time. *Recovery* is the time from the end of the
+fault until the velocity stays within 0.05 m/s of that flight, for the slowest seed.
 """
 
 
@@ -156,9 +156,9 @@ _PROCESSES = """
 ## Processes and network
 
 Real processes: simulator, relay, tuner and filter, at {rate_factor:g} times real time. Errors are
-against the simulator's truth: *during* and *after* as each row says, and *recovery* is the time
-of the mission from the end of the fault until the error stays below 0.5 m/s. These numbers
-depend on when a signal arrives, and differ a little between runs.
+relative to the simulator's truth, *during* and *after* the fault as each row says. *Recovery* is
+the mission time from the end of the fault until the error stays below 0.5 m/s. These numbers depend
+on when a signal arrives, and differ slightly between runs.
 """
 
 
@@ -174,12 +174,11 @@ _SOAK = f"""
 ## Soak
 
 A level circle for hours: simulator, tuner and filter as processes, the filter with the tuner's
-process noise, and a witness that counts what is published. Filter and tuner live as long as a
-call of the command; the simulator flies a leg of an hour. The speed is the highest of a search at
-which nothing is lost, the mission takes the time that it should, and no queue grows. One that loses
-something in an hour has failed as well, and the next hour is a step slower; but where the host of
-a virtual machine had taken more than {100.0 * STOLEN:g} % of the processors meanwhile, the hour is
-flown again.
+process noise, and a witness that counts what is published. Filter and tuner run for one call of the
+command; the simulator flies legs of an hour. A search finds the highest speed at which nothing is
+lost, the mission keeps its pace and no queue grows. If an hour at that speed loses a message, the
+speed has failed and the next hour is a step slower. If the host of a virtual machine took more than
+{100.0 * STOLEN:g} % of the processors during that hour, it is flown again instead.
 """
 
 
@@ -221,15 +220,15 @@ def _soak(parts: Documents) -> str:
 
 
 _VERDICTS = f"""
-Each of these fails the command where it does not hold. Memory and latency are compared between the
-end of a filter's first hour, by when it has what it needs, and the end of its last; where less than
-an hour lies between, they are not judged. Memory may grow by {MEMORY_GROWTH:.1f} MB in an hour of
-mission, a gigabyte in a month: a computer at sea has that to spare, and no filter runs for longer
-between two starts. Latency is the median of the last sixth of a leg. It may become
-{LATENCY_FACTOR:g} times as much, as it does with what else the machine is busy with, and it may
-rise by {LATENCY_RISE:g} ms, an interval of the IMU; a queue or a record that grows without end
-passes both. Each of 10^7 steps may round by 2^-52, in the worst case all in the same direction,
-which gives {ROUNDING:.1e}: what is more is no rounding.
+The command fails if one of these does not hold. Memory and latency are compared between the end of
+a filter's first hour, when it has allocated what it needs, and the end of its last hour; they are
+not judged if less than an hour lies between. Memory may grow by {MEMORY_GROWTH:.1f} MB per hour of
+mission, a gigabyte in a month: a computer at sea can spare that, and no filter runs longer between
+two starts. Latency is the median of the last sixth of a leg. It may become {LATENCY_FACTOR:g} times
+as large, since it depends on the load of the machine, or rise by {LATENCY_RISE:g} ms, an interval
+of the IMU; a queue or a record that grows without bound exceeds both. Each of 10^7 steps may round
+by 2^-52, in the worst case all in the same direction, which gives {ROUNDING:.1e}: a larger error is
+not rounding.
 """
 
 
@@ -250,8 +249,8 @@ def _summary(legs: Sequence[Mapping[str, Any]]) -> str:
     messages = sum(row["sent"] for leg in legs for row in leg["messages"])
     missing = sum(lost(leg) for leg in legs)
     return (
-        f"**{hours:.4g} mission hours in {wall:.1f} h of the wall: {messages} messages counted, "
-        f"{missing} lost.** A negative slope is memory that was given back."
+        f"**{hours:.4g} mission hours in {wall:.1f} h of wall time: {messages} messages counted, "
+        f"{missing} lost.** A negative slope is memory that was freed."
     )
 
 
@@ -295,12 +294,11 @@ def _legs(legs: Sequence[Mapping[str, Any]]) -> str:
 _CORE = """
 ### The core alone
 
-The same mission, message by message through `Inputs`, `Fold` and `Tuner` in one process; the
-seconds are theirs, without making the messages. After every DVL update: the largest asymmetry of P
-and the smallest eigenvalue, both of its correlations, and the largest element of $|C^T C - I|$.
-The memory is that of the whole process, which makes the messages as well: an hour of simulated
-mission takes some 200 MB, and the number has what of it was not yet given back. What filter and
-tuner take is in the table of processes.
+The same mission, message by message through `Feed` and `Tuner` in one process; the seconds do not
+include making the messages. After every DVL update: the largest asymmetry and the smallest
+eigenvalue of the correlation matrix of P, and the largest element of $|C^T C - I|$. The memory is
+that of the whole process, which also simulates the mission: an hour of it takes about 200 MB, part
+of which is not yet freed. The memory of filter and tuner is in the table of processes.
 """
 
 _HEALTH = tuple(name.replace("_", " ") for name in WORST)
@@ -308,8 +306,8 @@ _HEALTH = tuple(name.replace("_", " ") for name in WORST)
 _STEPS = """
 ### Millions of steps
 
-A quick turn with the same thousand samples again and again, an update after each thousand; the
-worst of all updates up to there.
+A quick turn that repeats the same thousand samples, with an update after each thousand; the worst
+of all updates so far.
 """
 
 

@@ -1,10 +1,9 @@
 """The core alone for long: hours of mission, messages in and odometry out; millions of steps.
 
-The motion of the mission is a level circle that closes in each hour, so hour follows hour without a
-seam; every hour has noise of its own, and no bias, which would change at the seam.
+The mission is a level circle that closes every hour, so that hours follow each other without a
+seam. Every hour has its own noise and no bias, which would change at the seam.
 """
 
-import heapq
 import os
 import time
 from collections.abc import Iterator
@@ -13,9 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from insdvl.messages.inputs import Inputs
+from insdvl.arrays import Array
+from insdvl.messages.feed import Feed
+from insdvl.messages.topics import IMU
 from insdvl.navigation.events import NS, Imu
 from insdvl.navigation.filter import Filter
 from insdvl.navigation.geometry.frames import ENU, rpy_from_rotation
@@ -26,13 +26,10 @@ from insdvl.parameters.declaration import build
 from insdvl.simulation.mission import ImuModel, Mission, simulate
 from insdvl.simulation.noise import SCENARIOS
 from insdvl.simulation.trajectories import LOOP
-from insdvl.studies.faults.stream import IMU, Arrival, dvl_arrivals, imu_arrivals, learned_from
-from insdvl.timeline.fold import Fold
+from insdvl.studies.faults.stream import Arrival, learned_from, sensor_arrivals
 from insdvl.timeline.output import AppliedUpdate
 from insdvl.tuner.parameters import TunerParameters
 from insdvl.tuner.tuner import Tuner
-
-Array = NDArray[np.float64]
 
 LEG = 3600.0  # s of mission: a whole number of circles
 SENSORS = ImuModel(
@@ -43,7 +40,7 @@ SENSORS = ImuModel(
 )
 
 
-#: Filters whose steps are counted in millions; the gate would begin anew where it is right to.
+#: Filters that make millions of steps, without the gate: it would rightly start again.
 STEPPED: dict[str, dict[str, Any]] = {
     "invariant, with DVL error": {"dvl.bias_model": "gauss_markov", "gate.enabled": False},
     "ned": {"error_state": "ned", "gate.enabled": False},
@@ -51,7 +48,7 @@ STEPPED: dict[str, dict[str, Any]] = {
 
 
 def start_parameters() -> dict[str, Any]:
-    """Names and values of the filter's parameters for the beginning of any hour."""
+    """The filter's parameters for the beginning of any hour, by name."""
     truth = LOOP.truth(np.zeros(1))
     return {
         "initial.rpy": tuple(rpy_from_rotation(ENU.attitude(truth.C_n_b[0])).tolist()),
@@ -61,7 +58,7 @@ def start_parameters() -> dict[str, Any]:
 
 
 def hour(number: int, duration: float = LEG) -> Mission:
-    """An hour of the mission, or a shorter leg; its stamps follow those of the one before."""
+    """An hour of the mission, or a shorter leg; its stamps continue those of the previous one."""
     return simulate(
         LOOP,
         SCENARIOS["varying"],
@@ -74,7 +71,7 @@ def hour(number: int, duration: float = LEG) -> Mission:
 
 @dataclass(frozen=True)
 class Health:
-    """How well the numbers hold, each the worst of many states.
+    """How accurate the numbers are, each the worst of many states.
 
     Attributes:
         asymmetry: Largest |P - P^T|, relative to the standard deviations.
@@ -88,7 +85,7 @@ class Health:
     orthonormality: float = 0.0
 
     def with_state(self, state: State, P: Array) -> "Health":
-        """The worst of this and of a state; nan where the state is not finite.
+        """The worst of this and of a state; NaN where the state is not finite.
 
         Args:
             state: The state.
@@ -108,13 +105,13 @@ class Health:
 
 @dataclass(frozen=True)
 class Hour:
-    """What an hour took.
+    """The numbers of an hour.
 
     Attributes:
         samples: IMU messages sent.
         outputs: Odometry published.
-        seconds: Of the filter and the tuner together, without making the messages.
-        memory: Resident memory of the process at its end, without its mission [MB].
+        seconds: Time of filter and tuner, without that of making the messages.
+        memory: Resident memory of the process at the end of the hour, without the mission [MB].
         nis: Mean normalised innovation squared.
         body_velocity_rmse: [m/s].
         health: After the updates.
@@ -129,16 +126,16 @@ class Hour:
     health: Health
 
 
-def run(hours: int, duration: float = LEG) -> Iterator[Hour]:
-    """Hours one after the other through one filter and one tuner.
+def flown_hours(count: int, duration: float = LEG) -> Iterator[Hour]:
+    """Fly hours one after the other with one filter and one tuner.
 
     Args:
-        hours: How many.
-        duration: Of each [s]; at the seam of shorter ones the heading jumps.
+        count: Number of hours.
+        duration: Duration of each [s]; where it is shorter the heading jumps at the seam.
     """
     parameters = build(FilterParameters, start_parameters() | {"process_noise.source": "external"})
-    fold, inputs, tuner = Fold(parameters), Inputs(parameters), Tuner(TunerParameters())
-    for number in range(hours):
+    feed, tuner = Feed(parameters), Tuner(TunerParameters())
+    for number in range(count):
         mission = hour(number, duration)
         truth = mission.truth
         v_b = np.einsum("kji,kj->ki", truth.C_n_b, truth.v_n) @ ENU.body
@@ -146,21 +143,20 @@ def run(hours: int, duration: float = LEG) -> Iterator[Hour]:
         squared, seconds = 0.0, 0.0
         nis: list[float] = []
         health = Health()
-        for arrival in _arrivals(mission):
+        for arrival in sensor_arrivals(mission):
             begin = time.perf_counter()
-            for output in _taken(arrival, fold, inputs, tuner):
+            for output in _published(arrival, feed, tuner):
                 if isinstance(output, AppliedUpdate):
                     nis.append(output.report.nis)
-                    health = health.with_state(
-                        fold.states[-1], fold.filter.covariance(fold.states[-1])
-                    )
+                    state = feed.fold.states[-1]
+                    health = health.with_state(state, feed.fold.filter.covariance(state))
                     continue
                 error = output.twist_linear - v_b[k]
                 squared += float(error @ error)
                 outputs, k = outputs + 1, k + 1
             seconds += time.perf_counter() - begin
         samples = mission.stamps_ns.size
-        del mission, truth, v_b  # no part of the memory, and not kept while the next one is made
+        del mission, truth, v_b  # not part of the memory, and not kept while the next is simulated
         yield Hour(
             samples=samples,
             outputs=outputs,
@@ -173,12 +169,15 @@ def run(hours: int, duration: float = LEG) -> Iterator[Hour]:
 
 
 def steps(parameters: FilterParameters, millions: int, seed: int) -> Iterator[Health]:
-    """A quick turn for millions of predictions, an update after each thousand; the health of each.
+    """A quick turn for millions of predictions with an update after each thousand.
 
     Args:
-        parameters: Of a filter that starts from them.
-        millions: How many.
-        seed: Of the noise.
+        parameters: Parameters of a filter that starts from them.
+        millions: Number of millions.
+        seed: Random seed of the noise.
+
+    Yields:
+        The health of each million.
     """
     filter_, chunk, rounds = Filter(parameters), 1000, 1000
     rng = np.random.default_rng(seed)
@@ -201,28 +200,16 @@ def steps(parameters: FilterParameters, millions: int, seed: int) -> Iterator[He
         yield health
 
 
-def _taken(arrival: Arrival, fold: Fold, inputs: Inputs, tuner: Tuner) -> list[Any]:
-    """What the filter publishes after a message, and after the process noise learned from it."""
-    _give(arrival, fold, inputs)
+def _published(arrival: Arrival, feed: Feed, tuner: Tuner) -> list[Any]:
+    """What the filter publishes after a message and after the process noise learned from it."""
+    feed.give(arrival.topic, arrival.message)
     if arrival.topic == IMU and (learned := learned_from(arrival, tuner)):
-        _give(learned, fold, inputs)
-    return fold.take()
-
-
-def _give(arrival: Arrival, fold: Fold, inputs: Inputs) -> None:
-    for event in inputs.events(arrival.topic, arrival.message, fold):
-        fold.add(event)
-
-
-def _arrivals(mission: Mission) -> Iterator[Arrival]:
-    """One at a time: an hour of messages at once would be a gigabyte."""
-    return heapq.merge(
-        imu_arrivals(mission), dvl_arrivals(mission), key=lambda arrival: arrival.time_ns
-    )
+        feed.give(learned.topic, learned.message)
+    return feed.fold.take()
 
 
 def processor_time() -> tuple[int, int]:
-    """Of all processors since the machine's start [ticks]: the whole, and what its host took."""
+    """Time of all processors since the start of the machine [ticks], and the share of its host."""
     ticks = [int(n) for n in Path("/proc/stat").read_text(encoding="ascii").split()[1:9]]
     return sum(ticks), ticks[7]  # steal, proc(5)
 

@@ -1,4 +1,4 @@
-"""What the numbers of the soak must keep to: the same judgement for the page and the exit code."""
+"""Limits for the numbers of the soak: one judgement for the page and for the exit code."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -6,21 +6,21 @@ from itertools import accumulate
 from typing import Any
 
 HOUR = 3600.0  # s of mission
-#: Of a process [MB per hour of mission]: a gigabyte in a month, which is what a computer at sea can
-#: spare, and longer than a filter lives between two starts.
+#: Growth of a process [MB per hour of mission]: a gigabyte in a month, which a computer at sea can
+#: spare, and a month is longer than a filter runs between two starts.
 MEMORY_GROWTH = 1000.0 / (30.0 * 24.0)
-#: A queue or a record that grows without end doubles the latency again and again, and passes both:
-#: what is more than twice as much, and later by more than an interval of the IMU.
+#: A queue or a record that grows without bound doubles the latency again and again, and exceeds
+#: both: twice the latency, and an interval of the IMU more.
 LATENCY_FACTOR, LATENCY_RISE = 2.0, 10.0  # -, ms
-#: Of numbers near 1: each of 10^7 steps rounds by 2^-52, all of them in the same direction.
+#: Error of numbers near 1: each of 10^7 steps rounds by 2^-52, all in the same direction.
 ROUNDING = 1e7 * 2.0**-52
 
-#: Share of the processors' time that the host of a virtual machine may take: with more of it a loss
-#: tells of the host.
+#: Share of the processors' time that the host of a virtual machine may take: above it a loss is
+#: attributed to the host.
 STOLEN = 0.05
 #: Processes whose memory is judged.
 PROCESSES = ("filter", "tuner")
-#: Of each number of `soak.Health`: which is the worst of many.
+#: Which of many values is the worst, for each number of `soak.Health`.
 WORST: Mapping[str, Callable[[Sequence[float]], float]] = {
     "asymmetry": max,
     "smallest_eigenvalue": min,
@@ -33,9 +33,9 @@ class Verdict:
     """Whether an expectation holds.
 
     Attributes:
-        expected: What must be.
-        seen: What is.
-        holds: None where the numbers cannot tell.
+        expected: What is expected.
+        seen: What was measured.
+        holds: None where the numbers do not decide it.
     """
 
     expected: str
@@ -45,12 +45,12 @@ class Verdict:
 
 @dataclass(frozen=True)
 class _Span:
-    """Between the end of the first hour of a filter and the end of its last.
+    """The time from the end of a filter's first hour to the end of its last leg.
 
     Attributes:
-        first: The leg at whose end the filter has flown for an hour.
+        first: The leg at whose end the filter has run for an hour of mission.
         last: Its last leg.
-        hours: Of mission between the ends of both.
+        hours: Hours of mission between the ends of both.
     """
 
     first: Mapping[str, Any]
@@ -77,7 +77,7 @@ def lost(leg: Mapping[str, Any]) -> int:
 
 
 def worst(health: Sequence[Mapping[str, float | None]]) -> dict[str, float | None]:
-    """Of each number the worst; None where one was not finite."""
+    """The worst value of each number; None where one was not finite."""
     result: dict[str, float | None] = {}
     for name, worst_of in WORST.items():
         finite = [value for h in health if (value := h[name]) is not None]
@@ -86,7 +86,7 @@ def worst(health: Sequence[Mapping[str, float | None]]) -> dict[str, float | Non
 
 
 def _lives(legs: Sequence[Mapping[str, Any]]) -> list[list[Mapping[str, Any]]]:
-    """The legs of each filter: a call starts one, and another behind a leg that was too fast."""
+    """The legs of each filter: a call starts one, and again after a leg that was too fast."""
     lives: list[list[Mapping[str, Any]]] = []
     for leg in legs:
         if not lives or leg["legs_of_filter"] == 1:
@@ -96,7 +96,7 @@ def _lives(legs: Sequence[Mapping[str, Any]]) -> list[list[Mapping[str, Any]]]:
 
 
 def _span(life: Sequence[Mapping[str, Any]]) -> _Span | None:
-    """What is compared in the life of a filter, or None where it is less than an hour."""
+    """What is compared in the life of a filter; None where it is less than an hour."""
     flown = list(accumulate(leg["mission"] for leg in life))
     first = next((k for k, seconds in enumerate(flown) if seconds >= HOUR), None)
     if first is None or flown[-1] - flown[first] < HOUR:
@@ -105,11 +105,11 @@ def _span(life: Sequence[Mapping[str, Any]]) -> _Span | None:
 
 
 def _judged(expected: str, seen: Sequence[str], holds: Sequence[bool], missing: str) -> Verdict:
-    """All must hold; where there is none, nothing is judged."""
+    """A verdict that holds if all of several do; without any it is not judged."""
     return Verdict(expected, "; ".join(seen) or missing, all(holds) if holds else None)
 
 
-_NO_SPAN = "no filter has flown for an hour after its first"
+_NO_SPAN = "no filter has run for an hour after its first hour"
 
 
 def _loss(legs: Sequence[Mapping[str, Any]]) -> Verdict:
@@ -162,7 +162,7 @@ def _core(hours: Sequence[Mapping[str, Any]]) -> Verdict:
 
 
 def _health(document: Mapping[str, Any]) -> Verdict:
-    """Of the hours of the core and of the millions of steps."""
+    """The health of the core over its hours and over the millions of steps."""
     health = [hour["health"] for hour in document["core"]]
     health += [million for filter_ in document["steps"].values() for million in filter_]
     expected = (

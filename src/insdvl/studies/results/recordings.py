@@ -2,9 +2,9 @@
 
 import hashlib
 import pickle
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -13,17 +13,17 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from insdvl.arrays import Array, Stamps
-from insdvl.messages.inputs import Inputs
+from insdvl.messages.feed import Feed
 from insdvl.navigation.events import Event, Imu
 from insdvl.navigation.geometry.frames import CONVENTIONS
 from insdvl.navigation.parameters import FilterParameters, ProcessNoiseParameters
 from insdvl.parameters.declaration import flatten
 from insdvl.parameters.sections import load_section
-from insdvl.recordings.bags import BagError
+from insdvl.recordings.base import BagError
 from insdvl.recordings.parameters import ReplayParameters
 from insdvl.studies.evaluation.metrics import Track
-from insdvl.studies.replay.command import read, recorded_events, truth_of
-from insdvl.timeline.fold import Fold
+from insdvl.studies.replay.fold import feed_recording, read
+from insdvl.studies.replay.scores import truth_of
 from insdvl.tuner.models import Model
 from insdvl.tuner.parameters import TunerParameters
 
@@ -113,13 +113,10 @@ def load_recording(path: Path, settings: Settings) -> Recording:
         BagError: It cannot be read, is incomplete, or its stamps do not increase.
     """
     messages = read(path, settings.replay)
-    rejected: Counter[str] = Counter()
     stamps: list[int] = []
     samples, others = [], []
-    parameters = settings.constant()
-    inputs, fold = Inputs(parameters), Fold(parameters)
-    for _, event in recorded_events(messages, inputs, fold, rejected):
-        fold.add(event)
+    feed = Feed(settings.constant())
+    for event, _ in chain.from_iterable(feed_recording(messages, feed)):
         if isinstance(event, Imu):
             stamps.append(event.stamp_ns)
             samples.append(np.concatenate([event.f_b, event.w_ib_b]))
@@ -140,7 +137,7 @@ def load_recording(path: Path, settings: Settings) -> Recording:
         tuple(others),
         truth_ns,
         truth,
-        rejected,
+        {str(key): count for key, count in feed.refused.items()},
     )
 
 

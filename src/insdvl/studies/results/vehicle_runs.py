@@ -20,8 +20,9 @@ import numpy as np
 from insdvl.arrays import Array, Stamps
 from insdvl.navigation.events import NS, ProcessNoise
 from insdvl.navigation.parameters import FilterParameters
-from insdvl.recordings.bags import BagError
-from insdvl.studies.replay.command import Injection, changes, errors_of
+from insdvl.recordings.base import BagError
+from insdvl.studies.replay.injection import Injection, announcements
+from insdvl.studies.replay.scores import errors_of
 from insdvl.studies.results.recordings import Recording, Settings, stream_axes
 from insdvl.timeline.output import FoldResult
 from insdvl.timeline.recorded import fold_arrays
@@ -187,5 +188,5 @@ def _noisy(recording: Recording, injected: Injection | None) -> tuple[Array, Rec
     if injected is None:
         return recording.samples, None
     q, noise = injected.draw(recording.stamps_ns)
-    at, stamps_ns = np.array(changes(recording.stamps_ns, q)).T
+    at, stamps_ns = np.array(announcements(recording.stamps_ns, q)).T
     return recording.samples + noise, (stamps_ns, q[at])

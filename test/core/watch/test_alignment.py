@@ -16,8 +16,9 @@ from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.mission import ImuModel, Mission, simulate
 from insdvl.simulation.noise import SCENARIOS, constant
 from insdvl.simulation.trajectories import AUV, BASELINE, LOOP, STATIC
-from insdvl.studies.replay.command import fold_recording, report
-from insdvl.watch import alignment as plausibility
+from insdvl.studies.replay.fold import fold_recording
+from insdvl.studies.replay.scores import report
+from insdvl.watch import alignment
 from insdvl.watch.alignment import FrameCheck
 
 Array = NDArray[np.float64]
@@ -71,7 +72,7 @@ def test_gravity_of_the_wrong_sign_is_told(mission: Mission) -> None:
     (finding,) = check(events(mission, f=-np.eye(3)))
     assert finding.startswith("gravity has the wrong sign along z")
     assert "-9.6" in finding
-    assert "is +9.81 upright with frame_convention 'enu'" in finding
+    assert "must be +9.81 when upright with frame_convention 'enu'" in finding
 
 
 @pytest.mark.parametrize(("convention", "other"), [("enu", "ned"), ("ned", "enu")])
@@ -109,7 +110,7 @@ def test_a_specific_force_without_gravity_or_in_another_unit_is_told(
     mission: Mission, factor: float
 ) -> None:
     (finding,) = check(events(mission, f=factor * np.eye(3)))
-    assert "gravity alone is 9.81: wrong unit, or gravity is left out" in finding
+    assert "gravity alone is 9.81: wrong unit, or gravity was removed" in finding
 
 
 def test_gravity_is_told_within_half_a_minute(mission: Mission) -> None:
@@ -171,7 +172,7 @@ def test_a_right_mission_is_never_accused(trajectory: Any, scenario: str) -> Non
         watch.add(event)
         if k % 500 == 0:
             assert watch.findings() == []
-    assert len(watch._sums) == 14
+    assert len(watch._residuals) == 14
 
 
 def test_errors_of_the_sensors_are_no_wrong_axes() -> None:
@@ -196,7 +197,7 @@ def test_errors_of_the_sensors_are_no_wrong_axes() -> None:
     for event in events(mission):
         watch.add(event)
         assert not watch.findings()
-    assert 8 <= len(watch._sums) <= 12
+    assert 8 <= len(watch._residuals) <= 12
 
 
 def test_sensors_without_any_noise_are_not_accused_of_rounding() -> None:
@@ -239,7 +240,7 @@ def test_a_gap_begins_a_new_window(mission: Mission) -> None:
         if isinstance(event, Imu) and event.stamp_ns % (15 * NS) < 2 * NS:
             continue
         watch.add(event)
-    assert len(watch._sums) == 0  # none is as long as 20 s
+    assert len(watch._residuals) == 0  # none is as long as 20 s
     assert not watch.findings()
 
 
@@ -249,16 +250,16 @@ def test_memory_is_bounded() -> None:
     f, v = np.array([0.0, 0.0, -9.8]), np.array([1.0, 0.0, 0.0])
     for k in range(2000):
         watch.add(Dvl(k, v))
-    assert len(watch._waiting) <= plausibility._WAITING
+    assert len(watch._waiting) <= alignment._WAITING
     for k in range(12_000):
         watch.add(Imu(k * 10_000_000, f, np.zeros(3)))
         if k > 5000:
             watch.add(Dvl(k * 10_000_000, v))
             watch.add(Dvl(k * 10_000_000 - 1, v))
-        assert len(watch._fixes) <= 102
-        assert len(watch._waiting) <= plausibility._WAITING
-        assert watch._size <= plausibility._SAMPLES
-    assert 3 <= len(watch._sums) <= plausibility.WINDOWS
+        assert len(watch._pings) <= 102
+        assert len(watch._waiting) <= alignment._WAITING
+        assert watch._size <= alignment._SAMPLES
+    assert 3 <= len(watch._residuals) <= alignment.WINDOWS
 
 
 # ---------------------------------------------------------------- replay

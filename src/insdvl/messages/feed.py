@@ -1,0 +1,93 @@
+"""The one loop: a message becomes events, the fold takes them, and refusals are counted.
+
+The filter node, `insdvl replay`, the fault flights and the soak all feed their filter by this.
+"""
+
+from collections import Counter
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from insdvl.messages.convert import RejectedMessage
+from insdvl.messages.inputs import Inputs
+from insdvl.messages.refusals import Refused
+from insdvl.navigation.events import Event
+from insdvl.navigation.parameters import FilterParameters
+from insdvl.timeline.fold import Fold
+
+
+class Fed(NamedTuple):
+    """An event that was given to the fold.
+
+    Attributes:
+        event: The event.
+        refusal: Why the fold does not use it; None where it does.
+    """
+
+    event: Event
+    refusal: str | None
+
+
+class Feed:
+    """A filter that takes messages.
+
+    Attributes:
+        inputs: The topics and their converters.
+        fold: The filter's timeline; ``fold.take()`` gives what is to be published.
+        refused: Messages that are not used, by topic and reason.
+    """
+
+    def __init__(
+        self,
+        parameters: FilterParameters,
+        *,
+        capacity: int = 4096,
+        on_refused: Callable[[str, str, str], None] | None = None,
+    ) -> None:
+        """Make an empty fold.
+
+        Args:
+            parameters: Of the filter.
+            capacity: Number of IMU samples to make room for.
+            on_refused: Called with topic, reason and detail of each message that is not used.
+
+        Raises:
+            ParameterError: Two parameters name one topic.
+        """
+        self.inputs = Inputs(parameters)
+        self.fold = Fold(parameters, capacity)
+        self.refused: Counter[Refused] = Counter()
+        self._on_refused = on_refused
+
+    def give(self, topic: str, message: Any) -> list[Fed]:
+        """Give a message to the filter.
+
+        Args:
+            topic: One of ``inputs.topics``.
+            message: Of one of the topic's types.
+
+        Returns:
+            The events of the message. It never raises on what is in a message.
+        """
+        fed: list[Fed] = []
+        times_left = len(self.fold.left)
+        try:
+            for event in self.inputs.events(topic, message, self.fold):
+                refusal = self.fold.add(event)
+                fed.append(Fed(event, refusal))
+                if refusal is not None:
+                    self._refuse(topic, refusal, f"{refusal}: stamp {event.stamp_ns} ns")
+        except RejectedMessage as rejection:
+            self._refuse(topic, rejection.reason, str(rejection))
+        if len(self.fold.left) > times_left:  # a time jump
+            self.inputs.reset()
+        return fed
+
+    def reset(self) -> None:
+        """Start again, with the origin of odom as it is."""
+        self.fold.reset()
+        self.inputs.reset()
+
+    def _refuse(self, topic: str, reason: str, detail: str) -> None:
+        self.refused[Refused(topic, reason)] += 1
+        if self._on_refused is not None:
+            self._on_refused(topic, reason, detail)

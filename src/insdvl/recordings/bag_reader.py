@@ -1,0 +1,176 @@
+"""Reading a rosbag2 recording without ROS, sqlite3 and MCAP alike."""
+
+from collections.abc import Collection, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import NamedTuple, final
+
+from insdvl.extras import extra
+from insdvl.recordings.base import BagError, Raw, Recorded, decode, text_of
+from insdvl.recordings.checks import (
+    MAX_MESSAGE_BYTES,
+    check_chunks,
+    check_database,
+    check_folder,
+)
+
+with extra("bags"):
+    from rosbags.rosbag2 import Reader
+
+
+class RecordedTopic(NamedTuple):
+    """A topic of a recording.
+
+    Attributes:
+        type: Name of its message type, ``package/msg/Name``.
+        size: Number of its messages.
+    """
+
+    type: str
+    size: int
+
+
+@final
+class BagReader:
+    """An open recording; a context manager.
+
+    Attributes:
+        path: The folder of the recording, or its one .mcap or .db3 file.
+        topics: The topics of the recording by name.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open a recording.
+
+        Raises:
+            BagError: It does not exist, is damaged, incomplete, empty or not a rosbag2 recording.
+        """
+        self.path = path
+        if not path.exists():
+            raise BagError(f"recording {path} does not exist")
+        if path.is_dir() and not (path / "metadata.yaml").is_file():
+            raise BagError(f"{path} is not a rosbag2 recording: it has no metadata.yaml")
+        if not path.is_dir() and not (path.is_file() and path.suffix in (".mcap", ".db3")):
+            raise BagError(
+                f"{path} is not a rosbag2 recording: neither a folder nor an .mcap or .db3 file"
+            )
+        try:
+            with ExitStack() as stack:
+                self._reader = self._open(path, stack)
+                found = {
+                    name: (sorted({c.msgtype for c in info.connections}), info.msgcount)
+                    for name, info in self._reader.topics.items()
+                }
+                stack.pop_all()
+        except Exception as error:  # damaged bytes make the parser raise anything
+            raise BagError(f"cannot read recording {path}: {text_of(error)}") from error
+        for name, (types, _) in found.items():
+            if len(types) > 1:
+                self.close()
+                raise BagError(f"topic {name} of {path} has several types: {', '.join(types)}")
+        self.topics = {name: RecordedTopic(types[0], size) for name, (types, size) in found.items()}
+        if not any(topic.size for topic in self.topics.values()):
+            self.close()
+            raise BagError(f"recording {path} is empty: it has no messages")
+
+    @staticmethod
+    def _open(path: Path, stack: ExitStack) -> Reader:
+        """Check a recording and open it; the stack closes it."""
+        if path.is_dir():
+            check_folder(path)
+        elif path.suffix == ".db3":
+            check_database(path)
+        reader = Reader(path)
+        reader.open()
+        stack.callback(reader.close)
+        for storage in getattr(reader.storage, "storages", [reader.storage]):
+            check_chunks(getattr(storage, "chunks", []))
+        return reader
+
+    def __enter__(self) -> "BagReader":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the recording."""
+        if self._reader.is_open:
+            self._reader.close()
+
+    def has(self, topic: str, *types: str) -> bool:
+        """Whether a topic has messages in the recording.
+
+        Raises:
+            BagError: Its type is not one of `types`.
+        """
+        if topic not in self.topics or not self.topics[topic].size:
+            return False
+        if self.topics[topic].type not in types:
+            raise BagError(
+                f"topic {topic} of {self.path} has type {self.topics[topic].type}, "
+                f"expected {' or '.join(types)}"
+            )
+        return True
+
+    def require(self, topic: str, *types: str) -> None:
+        """As `has`, for a topic that is required.
+
+        Raises:
+            BagError: The topic has no messages, or another type.
+        """
+        if not self.has(topic, *types):
+            there = ", ".join(sorted(name for name, info in self.topics.items() if info.size))
+            raise BagError(f"topic {topic!r} is not in {self.path}; it has {there}")
+
+    def raw(self, topics: Collection[str]) -> Iterator[Raw]:
+        """The messages of some topics as bytes, in the order in which they were recorded.
+
+        Raises:
+            BagError: The recording is damaged, or has fewer messages than its index says.
+        """
+        connections = [c for c in self._reader.connections if c.topic in topics]
+        expected, found = sum(c.msgcount for c in connections), 0
+        if not connections:
+            return
+        messages = self._reader.messages(connections)
+        while True:
+            try:
+                connection, time_ns, data = next(messages)
+            except StopIteration:
+                break
+            except Exception as error:  # damaged bytes make the parser raise anything
+                raise BagError(
+                    f"recording {self.path} is damaged after {found} messages: {text_of(error)}"
+                ) from error
+            found += 1
+            if len(data) > MAX_MESSAGE_BYTES:
+                raise BagError(
+                    f"a message on topic {connection.topic} of {self.path} has {len(data)} bytes; "
+                    f"at most {MAX_MESSAGE_BYTES} are read"
+                )
+            if found > expected:
+                break
+            yield Raw(connection.topic, connection.msgtype, time_ns, bytes(data))
+        if found != expected:
+            raise BagError(
+                f"recording {self.path} is damaged: it has {found} or more messages on "
+                f"{', '.join(sorted(topics))}, but its index says {expected}"
+                if found > expected
+                else f"recording {self.path} is incomplete: {found} of {expected} messages on "
+                f"{', '.join(sorted(topics))}"
+            )
+
+    def messages(self, topics: Collection[str]) -> Iterator[Recorded]:
+        """The messages of some topics, in the order in which they were recorded.
+
+        Raises:
+            BagError: The recording or one of the messages is damaged.
+        """
+        return map(decode, self.raw(topics))

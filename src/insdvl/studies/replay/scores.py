@@ -1,0 +1,151 @@
+"""What a folded recording is worth: its errors against the recorded truth, and its innovations."""
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from insdvl.arrays import Array, Stamps
+from insdvl.files import finite
+from insdvl.messages import convert
+from insdvl.messages.convert import RejectedMessage
+from insdvl.messages.topics import TRUTH, measurement_of
+from insdvl.navigation.events import NS
+from insdvl.navigation.geometry.frames import NED
+from insdvl.navigation.odometry import Odometry, odometry
+from insdvl.recordings.base import Raw, decode
+from insdvl.studies.evaluation.metrics import (
+    Track,
+    autocorrelation,
+    inside_fraction,
+    normalised_innovations,
+    scores,
+)
+from insdvl.studies.replay.fold import Replayed
+from insdvl.timeline.fold import Fold
+from insdvl.timeline.output import FoldResult
+
+LAGS = 10  # of the autocorrelation
+
+
+def states_at(fold: Fold | FoldResult, stamps_ns: Stamps) -> tuple[Track, Array]:
+    """The state at some stamps, in the axes of the stream, and the sigmas (M, 3) of v_b.
+
+    Between two stamps of the IMU position, velocity and sigma are interpolated linearly, the
+    attitude along the shortest rotation.
+
+    Args:
+        fold: The result.
+        stamps_ns: (M,) stamps from the first to the last initialised state.
+    """
+    times_ns = fold.states["nav"]["time_ns"]
+    after = np.searchsorted(times_ns, stamps_ns)
+    exact = times_ns[after] == stamps_ns
+    before = np.where(exact, after, after - 1)
+    needed, rows = np.unique(np.concatenate([before, after]), return_inverse=True)
+    table = [odometry(fold.filter, fold.states, int(k)) for k in needed]
+    a, b = rows[: len(stamps_ns)], rows[len(stamps_ns) :]
+    span = np.where(exact, 1, times_ns[after] - times_ns[before])
+    share = ((stamps_ns - times_ns[before]) / span)[:, None]
+
+    def between(values: Callable[[Odometry], Array]) -> Array:
+        column = np.array([values(entry) for entry in table])
+        return np.where(exact[:, None], column[b], column[a] + share * (column[b] - column[a]))
+
+    attitudes = Rotation.from_quat(np.array([entry.quaternion_xyzw for entry in table]))
+    turn = (attitudes[a].inv() * attitudes[b]).as_rotvec()
+    C = (attitudes[a] * Rotation.from_rotvec(share * turn)).as_matrix()
+    track = Track(C, between(lambda o: o.twist_linear), between(lambda o: o.position))
+    return track, between(lambda o: np.sqrt(np.diag(o.twist_covariance)[:3]))
+
+
+def truth_of(recording: Sequence[Raw]) -> tuple[Stamps, Track]:
+    """Stamps (M,) and states of the ground truth, in the axes of the stream."""
+    events = []
+    for raw in recording:
+        if raw.topic == TRUTH:
+            try:
+                events.append(convert.initial(decode(raw).message, NED, once=True))
+            except RejectedMessage:  # counted where it is folded
+                continue
+    return np.array([event.stamp_ns for event in events], dtype=np.int64), Track(
+        np.array([event.C_n_b for event in events]).reshape(-1, 3, 3),
+        np.array([event.v for event in events]).reshape(-1, 3),
+        np.array([event.p_n for event in events]).reshape(-1, 3),
+    )
+
+
+def errors_of(fold: Fold | FoldResult, stamps_ns: Stamps, truth: Track) -> dict[str, Any]:
+    """The errors at those stamps (M,) of the truth for which there is a state, and the NIS.
+
+    ``velocity_rmse`` is of the vector in navigation axes; ``nis_mean`` is over the DVL updates
+    that corrected the state. What is not known is None.
+    """
+    nis = [update.report.nis for update in fold.updates if update.report.corrected]
+    times_ns = fold.states["nav"]["time_ns"][fold.states["nav"]["initialised"] != 0]
+    inside = np.zeros(len(stamps_ns), dtype=bool)
+    if times_ns.size:
+        inside = (stamps_ns >= times_ns[0]) & (stamps_ns <= times_ns[-1])
+    result: dict[str, Any] = {
+        "velocity_rmse": None,
+        "body_velocity_rmse": None,
+        "velocity_smae": None,
+        "position_rmse_horizontal": None,
+        "position_drift_percent": None,
+        "heading_rmse_deg": None,
+        "tilt_rmse_deg": None,
+        "body_velocity_inside_3_sigma": None,
+        "reference_stamps": int(inside.sum()),
+        "nis_mean": float(np.mean(nis)) if nis else None,
+    }
+    if inside.sum() < 2:
+        return result
+    truth = Track(truth.C_n_b[inside], truth.v_b[inside], truth.p_n[inside])
+    track, sigma = states_at(fold, stamps_ns[inside])
+    errors = scores(track, truth)
+    result |= {
+        "velocity_rmse": errors.srmse,
+        "body_velocity_rmse": errors.body_velocity_rmse,
+        "velocity_smae": errors.smae,
+        "position_rmse_horizontal": errors.position_rmse_horizontal,
+        "position_drift_percent": errors.position_drift_percent,
+        "heading_rmse_deg": errors.heading_rmse_deg,
+        "tilt_rmse_deg": errors.tilt_rmse_deg,
+        "body_velocity_inside_3_sigma": inside_fraction(truth.v_b - track.v_b, sigma),
+    }
+    return {name: finite(value) for name, value in result.items()}
+
+
+def report(recording: Sequence[Raw], replayed: Replayed) -> dict[str, Any]:
+    """The numbers of the command's JSON; None where the recording has nothing to compare with.
+
+    Beside `errors_of`, the autocorrelation of the innovations of the DVL updates that corrected the
+    state. After a time jump the errors are those of the last part, the counts those of all parts.
+    """
+    fold = replayed.fold
+    updates = replayed.updates
+    corrected = [update.report for update in updates if update.report.corrected]
+    reasons = Counter(u.report.reason for u in updates if not u.report.accepted)
+    for (topic, reason), count in replayed.refused.items():
+        if measurement_of(topic) == "dvl":
+            reasons[reason] += count
+    nu = np.array([r.innovation for r in corrected]).reshape(-1, 3)
+    S = np.array([r.S for r in corrected]).reshape(-1, 3, 3)
+    known = replayed.initialised
+    times_ns = fold.states["nav"]["time_ns"][known]
+    return errors_of(fold, *truth_of(recording)) | {
+        "dvl_accepted": sum(u.report.accepted for u in updates),
+        "dvl_rejected": sum(reasons.values()),
+        "dvl_rejected_by_reason": dict(reasons),
+        "innovation_autocorrelation": (
+            autocorrelation(normalised_innovations(nu, S), LAGS) if len(corrected) > LAGS else None
+        ),
+        "imu_samples": sum(len(part.states) for part in replayed.parts),
+        "first_stamp": times_ns[0] / NS if known.size else None,
+        "duration": float(times_ns[-1] - times_ns[0]) / NS if known.size else 0.0,
+        "counts": fold.counts,
+        "rejected": {str(key): count for key, count in replayed.refused.items()},
+        "frames": replayed.findings,
+    }
