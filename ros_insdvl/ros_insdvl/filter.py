@@ -21,9 +21,8 @@ from std_srvs.srv import Trigger
 from insdvl.messages.feed import Feed
 from insdvl.messages.make import fill_imu, fill_odometry, fill_twist
 from insdvl.messages.topics import Topic
-from insdvl.navigation.events import NS, Event, ProcessNoise
+from insdvl.navigation.events import NS, Event, Measurement, ProcessNoise
 from insdvl.navigation.events import Imu as ImuSample
-from insdvl.navigation.geometry.frames import CONVENTIONS
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.odometry import Odometry as FilterOdometry
 from insdvl.navigation.odometry import biases
@@ -85,18 +84,22 @@ class FilterNode(InsdvlNode[FilterParameters]):
         self._fold, self._inputs = self._feed.fold, self._feed.inputs
         topics = self._inputs.topics
         self.single_inputs = tuple(name for name, topic in topics.items() if topic.single)
-        self._convention = CONVENTIONS[parameters.frame_convention]
         self._state_file = self._resume()
         self._watch = FilterWatch(parameters, self._inputs, self._fold, self._state_file)
 
         self._odometry = self.advertise(Odometry, "odometry/filtered")
         self._bias = self.advertise(Imu, "imu/bias")
-        self._innovation = self.advertise(TwistWithCovarianceStamped, "dvl/innovation")
+        self._innovations = {
+            name: self.advertise(TwistWithCovarianceStamped, f"{name}/innovation")
+            for name in self._inputs.measured
+        }
         # A message is serialised when it is sent, so one of each kind serves for ever.
         self._odometry_message = Odometry(child_frame_id=parameters.base_frame)
         self._odometry_message.header.frame_id = parameters.odom_frame
         self._bias_message = Imu()
-        self._innovation_message = TwistWithCovarianceStamped()
+        self._innovation_messages = {
+            name: TwistWithCovarianceStamped() for name in self._innovations
+        }
 
         self._bias_second: int | None = None
         self.create_service(Trigger, "~/reset", self._reset)
@@ -167,8 +170,9 @@ class FilterNode(InsdvlNode[FilterParameters]):
                 self._watch.took(event)
                 if isinstance(event, ImuSample):
                     self._bias_message.header.frame_id = message.header.frame_id
-                elif isinstance(event, Dvl):
-                    self._innovation_message.header.frame_id = message.header.frame_id
+                elif isinstance(event, Measurement):
+                    innovation = self._innovation_messages[event.name]
+                    innovation.header.frame_id = message.header.frame_id
         finally:
             self._publish()
         if self._state_file is not None and (state := self._fold.latest) is not None:
@@ -231,21 +235,21 @@ class FilterNode(InsdvlNode[FilterParameters]):
         self._listen()
 
     def _publish_update(self, update: AppliedUpdate) -> None:
-        report = update.report
+        report, name = update.report, update.report.measurement
         if not np.isfinite(report.nis):  # nothing was predicted to compare it with
-            self.reject("dvl", report.reason, f"{report.reason}: stamp {update.stamp_ns} ns")
+            self.reject(name, report.reason, f"{report.reason}: stamp {update.stamp_ns} ns")
             return
         self._watch.updated(update)
         if not report.accepted:
-            self.reject("dvl", report.reason, f"{report.reason}: NIS {report.nis:.1f}")
-        axes = self._convention.body
-        fill_twist(
-            self._innovation_message,
-            update.stamp_ns,
-            axes @ report.innovation,
-            axes @ report.S @ axes.T,
-        )
-        self._innovation.send(self._innovation_message)
+            self.reject(name, report.reason, f"{report.reason}: NIS {report.nis:.1f}")
+        nu, S = self._fold.filter.models[name].in_stream(report.innovation, report.S)
+        message = self._innovation_messages[name]
+        # One row, such as a depth, is along z.
+        rows = slice(3 - len(nu), 3)
+        innovation, covariance = np.zeros(3), np.zeros((3, 3))
+        innovation[rows], covariance[rows, rows] = nu, S
+        fill_twist(message, update.stamp_ns, innovation, covariance)
+        self._innovations[name].send(message)
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._feed.reset()

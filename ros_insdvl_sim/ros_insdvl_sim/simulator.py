@@ -9,7 +9,7 @@ from insdvl.messages.topics import BY_NAME
 from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.frames import CONVENTIONS
 from insdvl.parameters.declaration import ParameterError
-from insdvl.simulation.messages import PUBLISHED, StreamFormat, mission_messages
+from insdvl.simulation.messages import StreamFormat, mission_messages, topics_of
 from insdvl.simulation.mission import mission_of
 from insdvl.simulation.parameters import SimulatorParameters
 from ros_insdvl.conversions import message_class
@@ -22,7 +22,7 @@ class Simulator(Player[SimulatorParameters]):
     """Simulates the whole mission, then plays it.
 
     The stamps are start + k dt in integer nanoseconds. Messages of one stamp are sent in the order
-    IMU, odometry, process noise, DVL.
+    IMU, odometry, process noise, DVL, depth.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -41,7 +41,9 @@ class Simulator(Player[SimulatorParameters]):
         self._start_ns = 0
         self._now_ns = 0
         # A message is serialised when it is sent, so one for each topic is enough.
-        self._messages = {topic: message_class(BY_NAME[topic].types[0])() for topic in PUBLISHED}
+        self._messages = {
+            topic: message_class(BY_NAME[topic].types[0])() for topic in topics_of(self._mission)
+        }
         for topic, message in self._messages.items():
             self.advertise(type(message), topic)
         self.start_diagnostics()
@@ -68,6 +70,7 @@ class Simulator(Player[SimulatorParameters]):
             CONVENTIONS[parameters.frame_convention],
             imu=parameters.base_frame,
             dvl=parameters.dvl_frame,
+            depth=parameters.depth_frame,
             odom=parameters.odom_frame,
             base=parameters.base_frame,
             start_ns=self._start_ns,

@@ -50,6 +50,15 @@ class Inputs:
         self._frames = {name: self._expected(topic) for name, topic in self.topics.items()}
         self.reset()
 
+    @property
+    def measured(self) -> dict[str, list[str]]:
+        """The kinds of measurements that are taken, each with its topics."""
+        found: dict[str, list[str]] = {}
+        for name, topic in self.topics.items():
+            if topic.measurement:
+                found.setdefault(topic.measurement, []).append(name)
+        return found
+
     def _expected(self, topic: Topic) -> list[tuple[str, Callable[[Any], Any], str]]:
         """Name and getter of each frame field that must have a value, and that value."""
         fields: list[tuple[str, Callable[[Any], Any], str]] = []

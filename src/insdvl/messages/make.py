@@ -113,6 +113,19 @@ def fill_twist(message: Any, stamp_ns: int, v: ArrayLike, R: ArrayLike | None = 
     message.twist.covariance = covariance.ravel()
 
 
+def fill_pressure(message: Any, stamp_ns: int, pressure: float, variance: float = 0.0) -> None:
+    """Fill a sensor_msgs/FluidPressure.
+
+    Args:
+        message: The message.
+        stamp_ns: Stamp [ns].
+        pressure: [Pa].
+        variance: [Pa^2], 0 for unknown.
+    """
+    set_stamp(message, stamp_ns)
+    message.fluid_pressure, message.variance = float(pressure), float(variance)
+
+
 def fill_odometry(
     message: Any,
     stamp_ns: int,

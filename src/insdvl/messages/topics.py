@@ -12,7 +12,7 @@ from operator import attrgetter
 from types import MappingProxyType
 from typing import Any
 
-from insdvl.messages import convert
+from insdvl.messages import convert, depth
 from insdvl.navigation.events import Event, Initial
 from insdvl.navigation.geometry.frames import CONVENTIONS, Convention
 from insdvl.navigation.parameters import FilterParameters
@@ -27,6 +27,7 @@ TRUTH = "ground_truth/odometry"
 PROCESS_NOISE = "process_noise"
 TRUE_PROCESS_NOISE = "ground_truth/process_noise"
 FIX = "gps/fix"
+DEPTH = "depth/pressure"
 
 #: Topic of each source of process noise that has one.
 Q_TOPICS: Mapping[str, str] = MappingProxyType(
@@ -121,6 +122,10 @@ def _dvl(message: Any, parameters: FilterParameters) -> Iterator[Event]:
     yield replace(dvl, R=convert.completed(dvl.R, parameters.dvl.noise_std))
 
 
+def _depth(message: Any, parameters: FilterParameters) -> Iterator[Event]:
+    yield depth.depth(message, _convention(parameters), parameters.depth)
+
+
 def _process_noise(message: Any, parameters: FilterParameters) -> Iterator[Event]:
     yield convert.process_noise(message, _convention(parameters))
 
@@ -153,6 +158,10 @@ def _fix(message: Any, parameters: FilterParameters) -> Iterator[Event]:
 _OF_IMU = ("bad_stamp", "no_stamp", "not_finite", "no_data", "bad_covariance")
 _OF_TWIST = ("bad_stamp", "no_stamp", "not_finite", "no_data", "bad_covariance")
 _OF_ODOMETRY = ("bad_stamp", "not_finite", "bad_quaternion", "no_data", "bad_covariance")
+_OF_DEPTH = (
+    *("bad_stamp", "no_stamp", "not_finite", "bad_covariance"),
+    *("no_data", "out_of_range", "in_air"),
+)
 _OF_PROCESS_NOISE = ("bad_stamp", "bad_covariance")
 _OF_FIX = ("bad_stamp", "no_data", "not_finite", "out_of_range")
 _DVL_FRAMES: Mapping[str, str] = MappingProxyType({"header.frame_id": "dvl.frame_id"})
@@ -197,6 +206,24 @@ TOPICS: tuple[Topic, ...] = (
         measurement="dvl",
         frames=_DVL_FRAMES,
         replay_parameter="dvl_covariance_topic",
+    ),
+    Topic(
+        DEPTH,
+        depth.TYPES,
+        _depth,
+        (
+            "bad_stamp",
+            "no_stamp",
+            "not_finite",
+            "bad_covariance",
+            "no_data",
+            "out_of_range",
+            "in_air",
+        ),
+        measurement="depth",
+        parameter="depth.topic",
+        taken=lambda parameters: bool(parameters.depth.topic),
+        frames=MappingProxyType({"header.frame_id": "depth.frame_id"}),
     ),
     Topic(
         SET_ODOMETRY,

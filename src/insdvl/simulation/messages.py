@@ -10,13 +10,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from insdvl.messages.make import fill_imu, fill_odometry, fill_twist, fill_variances
-from insdvl.messages.topics import DVL, IMU, TRUE_PROCESS_NOISE, TRUTH
+from insdvl.messages.make import fill_imu, fill_odometry, fill_pressure, fill_twist, fill_variances
+from insdvl.messages.topics import DEPTH, DVL, IMU, TRUE_PROCESS_NOISE, TRUTH
 from insdvl.navigation.geometry.frames import ENU, Convention, quaternion_from_rotation
 from insdvl.simulation.mission import Mission
 from insdvl.simulation.motion import Truth
 
-#: The topics of a mission.
+#: The topics of every mission.
 PUBLISHED = (IMU, DVL, TRUTH, TRUE_PROCESS_NOISE)
 
 #: Makes a message for a topic of the table. Each message is yielded before the next one of its
@@ -46,6 +46,7 @@ class StreamFormat:
         convention: Axes of all vectors.
         imu: frame_id of the IMU.
         dvl: frame_id of the DVL.
+        depth: frame_id of the depth sensor.
         odom: frame_id of the truth.
         base: child_frame_id of the truth.
         start_ns: Added to all stamps.
@@ -55,6 +56,7 @@ class StreamFormat:
     convention: Convention = ENU
     imu: str = "imu_link"
     dvl: str = "dvl_link"
+    depth: str = "depth_link"
     odom: str = "odom"
     base: str = "base_link"
     start_ns: int = 0
@@ -64,15 +66,21 @@ class StreamFormat:
 DEFAULT = StreamFormat()
 
 
+def topics_of(mission: Mission) -> tuple[str, ...]:
+    """The topics of a mission; that of the depth only where there is a sensor."""
+    return (*PUBLISHED, DEPTH) if mission.depth_stamps_ns.size else PUBLISHED
+
+
 def mission_messages(
     mission: Mission, new: NewMessage, form: StreamFormat = DEFAULT
 ) -> Iterator[Timed]:
-    """All messages by their stamps; of one stamp in the order IMU, truth, process noise, DVL."""
+    """All messages by their stamps; of one stamp as IMU, truth, process noise, DVL, depth."""
     return heapq.merge(
         imu_messages(mission, new, form),
         truth_messages(mission, new, form),
         process_noise_messages(mission, new, form),
         dvl_messages(mission, new, form),
+        depth_messages(mission, new, form),
         key=lambda timed: timed.time_ns,
     )
 
@@ -109,6 +117,18 @@ def dvl_messages(
         message.header.frame_id = form.dvl
         fill_twist(message, stamp_ns, v)
         yield Timed(stamp_ns, DVL, message)
+
+
+def depth_messages(
+    mission: Mission, new: NewMessage, form: StreamFormat = DEFAULT
+) -> Iterator[Timed]:
+    """The measurements of the depth sensor, whose variance is unknown."""
+    stamps = (mission.depth_stamps_ns + form.start_ns).tolist()
+    for stamp_ns, pressure in zip(stamps, mission.pressure.tolist(), strict=True):
+        message = new(DEPTH)
+        message.header.frame_id = form.depth
+        fill_pressure(message, stamp_ns, pressure)
+        yield Timed(stamp_ns, DEPTH, message)
 
 
 def truth_messages(

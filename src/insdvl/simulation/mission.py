@@ -1,4 +1,4 @@
-"""A whole mission: truth, IMU and DVL of one vehicle and one seed."""
+"""A whole mission: truth, IMU, DVL and depth of one vehicle and one seed."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -10,6 +10,7 @@ from insdvl.arrays import Array, Stamps
 from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.frames import CONVENTIONS
 from insdvl.parameters.declaration import ParameterError
+from insdvl.simulation.depth import DepthModel, ideal_pressure, pressure_noise
 from insdvl.simulation.dvl import DvlModel, ideal_velocity
 from insdvl.simulation.imu import ImuModel, biases, ideal_imu, white_noise
 from insdvl.simulation.motion import Trajectory, Truth
@@ -41,6 +42,8 @@ class Mission:
         dvl_stamps_ns: (M,) stamps of the DVL, without those in outages.
         v_d: (M, 3) DVL readings, in DVL axes [m/s].
         dvl_outlier: (M,) which DVL readings are outliers.
+        depth_stamps_ns: (D,) stamps of the depth sensor; none without one.
+        pressure: (D,) its readings [Pa].
     """
 
     start_ns: int
@@ -55,6 +58,8 @@ class Mission:
     dvl_stamps_ns: Stamps
     v_d: Array
     dvl_outlier: NDArray[np.bool_]
+    depth_stamps_ns: Stamps
+    pressure: Array
 
     def process_noise(self, every_ns: int = NS) -> tuple[Stamps, Array]:
         """Stamps (K,) and the variances (K, 6) that apply from each stamp on.
@@ -70,10 +75,13 @@ class Mission:
 
 DEFAULT_IMU = ImuModel()
 DEFAULT_DVL = DvlModel()
+DEFAULT_DEPTH = DepthModel()
 
 
 def _stamps(duration: float, rate: float) -> Stamps:
-    """Nanoseconds k / rate, k = 1, 2, ... to the duration, each rounded on its own."""
+    """Nanoseconds k / rate, k = 1, 2, ... to the duration, each rounded on its own; none at 0."""
+    if rate == 0.0:
+        return np.empty(0, dtype=np.int64)
     count = int(duration * rate * (1.0 + 1e-12))  # the product may be rounded down
     return np.rint(np.arange(1, count + 1) * (NS / rate)).astype(np.int64)
 
@@ -100,6 +108,7 @@ def simulate(
     duration: float | None = None,
     imu: ImuModel = DEFAULT_IMU,
     dvl: DvlModel = DEFAULT_DVL,
+    depth: DepthModel = DEFAULT_DEPTH,
     earth_rate: bool = True,
     start_ns: int = 0,
 ) -> Mission:
@@ -116,6 +125,7 @@ def simulate(
         duration: Shorter than the trajectory [s]; all of it by default.
         imu: The IMU.
         dvl: The DVL, with mount and lever arm in forward-right-down.
+        depth: The depth sensor, with its lever arm in forward-right-down.
         earth_rate: See `Trajectory.truth`.
         start_ns: Stamp of the start.
 
@@ -129,7 +139,7 @@ def simulate(
             f"duration must be within {1.0 / imu.rate:g} to {trajectory.duration:g} s, "
             f"got {duration!r}"
         )
-    profile_rng, noise_rng, bias_rng, dvl_rng = np.random.default_rng(seed).spawn(4)
+    profile_rng, noise_rng, bias_rng, dvl_rng, depth_rng = np.random.default_rng(seed).spawn(5)
     dt = 1.0 / imu.rate
     elapsed_ns, truth, f_b, w_ib_b = _clean(trajectory, duration, imu.rate, earth_rate)
 
@@ -150,6 +160,11 @@ def simulate(
     dvl_error, is_outlier = dvl.errors(pings.t, dvl_rng)
     seen = dvl.available(pings.t)
     v_d = ideal_velocity(pings, dvl) + dvl_error
+
+    depth_ns = _stamps(duration, depth.rate)
+    dives = trajectory.truth(np.minimum(depth_ns / NS, duration), earth_rate=earth_rate)
+    pressure = ideal_pressure(dives, depth, trajectory.lat_0, trajectory.h_0)
+    pressure += pressure_noise(depth, trajectory.lat_0, depth_ns.size, depth_rng)
     return Mission(
         start_ns=start_ns,
         initial=trajectory.truth(np.zeros(1), earth_rate=earth_rate),
@@ -163,6 +178,8 @@ def simulate(
         dvl_stamps_ns=start_ns + ping_ns[seen],
         v_d=v_d[seen],
         dvl_outlier=is_outlier[seen],
+        depth_stamps_ns=start_ns + depth_ns,
+        pressure=pressure,
     )
 
 
@@ -190,6 +207,7 @@ def mission_of(parameters: SimulatorParameters) -> Mission:
             duration=duration,
             imu=imu,
             dvl=parameters.dvl.in_frd(CONVENTIONS[parameters.frame_convention]),
+            depth=parameters.depth.in_frd(CONVENTIONS[parameters.frame_convention]),
             earth_rate=parameters.earth_rate,
         )
     except ValueError as error:

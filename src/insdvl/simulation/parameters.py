@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 from insdvl.parameters.declaration import check_frames, parameter
+from insdvl.simulation.depth import DepthModel
 from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.imu import ImuModel
 from insdvl.simulation.noise import NoiseParameters
@@ -22,6 +23,7 @@ class SimulatorParameters:
     odom_frame: str = parameter("odom", "frame_id of the true odometry.")
     base_frame: str = parameter("base_link", "Frame of the vehicle and of the IMU.")
     dvl_frame: str = parameter("dvl_link", "Frame of the DVL.")
+    depth_frame: str = parameter("depth_link", "Frame of the depth sensor.")
     trajectory: str = parameter(
         "auv",
         "The motion.",
@@ -63,6 +65,7 @@ class SimulatorParameters:
     noise: NoiseParameters = field(default_factory=NoiseParameters)
     imu: ImuModel = field(default_factory=ImuModel)
     dvl: DvlModel = field(default_factory=DvlModel)
+    depth: DepthModel = field(default_factory=DepthModel)
 
     def __post_init__(self) -> None:
         check_frames(self.odom_frame, self.base_frame)

@@ -11,7 +11,6 @@ from insdvl.timeline.output import AppliedUpdate
 from ros_insdvl.status.diagnostics import Status, View
 
 IMU = "imu/data_raw"
-DVL = ("dvl/velocity", "dvl/velocity_cov")
 ODOMETRY = "odometry/filtered"
 
 
@@ -28,7 +27,7 @@ class Cause:
         """The fold took an event."""
 
     def updated(self, update: AppliedUpdate) -> None:
-        """A DVL measurement was used or rejected."""
+        """A measurement was used or rejected."""
 
     def published(self, output: Odometry, now_ns: int) -> None:
         """Odometry was published at a time of the node's clock."""
@@ -59,6 +58,11 @@ class Published:
         if self.first_ns is None:
             self.first_ns = output.stamp_ns
         self.last = output
+
+    @property
+    def height_sigma(self) -> float:
+        """Sigma of the height in the last output [m]."""
+        return inf if self.last is None else float(np.sqrt(self.last.pose_covariance[2, 2]))
 
     @property
     def velocity_sigma(self) -> float:

@@ -12,10 +12,10 @@ from insdvl.timeline.output import AppliedUpdate
 from insdvl.timeline.state_file import StateFile
 from ros_insdvl.status.diagnostics import Status, View
 from ros_insdvl.status.filter.base import Cause, Published
-from ros_insdvl.status.filter.dvl import Dvl
 from ros_insdvl.status.filter.frames import Frames
 from ros_insdvl.status.filter.imu import Imu
 from ros_insdvl.status.filter.initialisation import Initialisation
+from ros_insdvl.status.filter.measurement import MeasurementCause
 from ros_insdvl.status.filter.output import Output
 from ros_insdvl.status.filter.process_noise import ProcessNoise
 from ros_insdvl.status.filter.state_file import KeptState
@@ -46,7 +46,10 @@ class FilterWatch:
         self._causes: tuple[Cause, ...] = (
             Initialisation(parameters, inputs, fold, self._published),
             self._imu,
-            Dvl(fold, self._published),
+            *(
+                MeasurementCause(name, topics, fold, self._published)
+                for name, topics in inputs.measured.items()
+            ),
             ProcessNoise(parameters, fold),
             Time(fold),
             self._frames,
@@ -76,7 +79,7 @@ class FilterWatch:
             cause.took(event)
 
     def updated(self, update: AppliedUpdate) -> None:
-        """A DVL measurement was used or rejected."""
+        """A measurement was used or rejected."""
         for cause in self._causes:
             cause.updated(update)
 

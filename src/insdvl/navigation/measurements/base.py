@@ -115,12 +115,14 @@ class SensorModel(ABC, Generic[_Event]):
     """How one kind of measurement follows from the state.
 
     Attributes:
+        label: What an operator calls the sensor.
         rows: Number of rows m.
         tells_velocity: Whether it tells velocity and, with the IMU, tilt: an adaptive process noise
             learns from it, and the doubt about IMU channels starts again with it.
         turn_average_ns: Time over which the turn rate is averaged for it; 0 takes one sample.
     """
 
+    label: ClassVar[str]
     rows: ClassVar[int]
     tells_velocity: ClassVar[bool] = False
     turn_average_ns: int = 0
@@ -147,6 +149,10 @@ class SensorModel(ABC, Generic[_Event]):
             event: The measurement.
             turn: The turn rate there.
         """
+
+    def in_stream(self, innovation: Array, S: Array) -> tuple[Array, Array]:
+        """An innovation (m,) and its covariance (m, m) in the axes of the stream."""
+        return innovation, S
 
     @abstractmethod
     def drift(self, s: State, seconds: float) -> Array:
@@ -183,10 +189,13 @@ class SensorParameters:
     Attributes:
         EVENT: Class of its measurements.
         ROOM: Largest size of each optional block that it may bring, by name.
+        REMEDIES: What the reasons of its own mean for which a measurement is refused, and what to
+            do about them.
     """
 
     EVENT: ClassVar[type[Measurement]]
     ROOM: ClassVar[Mapping[str, int]] = {}
+    REMEDIES: ClassVar[Mapping[str, str]] = {}
 
     def blocks(self) -> tuple[Block, ...]:
         """The optional blocks that are in use."""

@@ -130,6 +130,11 @@ class DepthParameters(SensorParameters):
 
     EVENT = Depth
     ROOM: ClassVar[Mapping[str, int]] = {"surface": 1}
+    REMEDIES: ClassVar[Mapping[str, str]] = {
+        "frozen": "the depth sensor repeats one number: its driver or its cable has stopped",
+        "in_air": "the pressure is that of air: the sensor is out of the water, its unit is not "
+        "Pa, or depth.atmospheric_pressure is not that of the sensor (0 for a gauge)",
+    }
 
     def blocks(self) -> tuple[Block, ...]:
         """The height of the surface, where there is a sensor and it is not known."""
@@ -150,6 +155,7 @@ class DepthModel(SensorModel[Depth]):
         vehicle: That carries it.
     """
 
+    label = "depth sensor"
     rows = 1
 
     def __init__(self, parameters: DepthParameters, vehicle: Vehicle) -> None:

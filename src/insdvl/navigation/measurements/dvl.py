@@ -110,6 +110,10 @@ class DvlParameters(SensorParameters):
 
     EVENT = Dvl
     ROOM: ClassVar[Mapping[str, int]] = {"dvl_error": 3}
+    REMEDIES: ClassVar[Mapping[str, str]] = {
+        "no_lock": "the DVL sends exact zeros: it has no bottom lock",
+        "repeated": "the DVL repeats its last measurement: no bottom lock, or two publishers",
+    }
 
     def blocks(self) -> tuple[Block, ...]:
         """The DVL's error, where it is modelled: real ones are correlated over seconds."""
@@ -130,6 +134,7 @@ class DvlModel(SensorModel[Dvl]):
         vehicle: That carries it.
     """
 
+    label = "DVL"
     rows = 3
     tells_velocity = True
 
@@ -183,6 +188,11 @@ class DvlModel(SensorModel[Dvl]):
             H[:, self._error] = np.eye(3)
             z_minus_h -= state[0]["nav"]["optional"][vehicle.optional("dvl_error")]
         return Linearised(z_minus_h, H, (R + R.T) / 2)
+
+    def in_stream(self, innovation: Array, S: Array) -> tuple[Array, Array]:
+        """Velocities, in the body axes of the stream's convention."""
+        axes = self._vehicle.axes.body
+        return axes @ innovation, axes @ S @ axes.T
 
     def drift(self, s: State, seconds: float) -> Array:
         """Drift of the velocity in DVL axes by tilt, accelerometer bias and the samples' noise."""

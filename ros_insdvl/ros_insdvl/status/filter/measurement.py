@@ -1,0 +1,151 @@
+"""One cause for each kind of measurement: outages, rejections, innovations that do not fit."""
+
+from collections import Counter, deque
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.special import gammaincinv
+
+from insdvl.navigation.events import NS
+from insdvl.timeline.fold import Fold
+from insdvl.timeline.output import AppliedUpdate
+from insdvl.watch.state_summary import summary
+from ros_insdvl.status.diagnostics import ERROR, RECENT, WARN, Status, View
+from ros_insdvl.status.filter.base import Cause, Published
+
+#: Stamps without an accepted measurement for longer than this are worth a warning; for longer than
+#: the second, the sensor says nothing about the state any more.
+OUTAGE_NS, LOST_NS = 5 * NS, 60 * NS
+#: Rejections by the gate that are no longer chance.
+GATE_REJECTIONS = 2
+#: NIS of the last measurements that are kept.
+KEPT_NIS = 100
+#: The median of at least so many NIS shows that a filter is overconfident, where it is more than
+#: twice that of chi-square.
+NIS_COUNT = 50
+
+#: Events of the gate's recovery, and what the filter did.
+_RECOVERIES = {
+    "inflations": "the covariance was inflated after rejections",
+    "restarts": "the state was restarted from a measurement after rejections",
+}
+
+
+class MeasurementCause(Cause):
+    """A kind of measurement as the filter takes it.
+
+    Args:
+        name: Of the measurement, under which updates are counted that were not made.
+        topics: That feed it.
+        fold: Of the filter.
+        published: What was published.
+    """
+
+    def __init__(self, name: str, topics: Sequence[str], fold: Fold, published: Published) -> None:
+        self._name = name
+        self._topics = tuple(topics)
+        self._fold = fold
+        self._published = published
+        model = fold.filter.models[name]
+        self._label, self._tells_velocity, self._rows = (
+            model.label,
+            model.tells_velocity,
+            model.rows,
+        )
+        self._updates: Counter[str] = Counter()
+        self.reset()
+
+    def reset(self) -> None:
+        """A filter that restarts has innovations of its own."""
+        self._nis: deque[float] = deque(maxlen=KEPT_NIS)
+
+    def updated(self, update: AppliedUpdate) -> None:
+        """Remember what became of a measurement."""
+        report = update.report
+        if report.measurement != self._name:
+            return
+        self._updates["accepted" if report.accepted else "rejected"] += 1
+        if report.corrected:
+            self._nis.append(report.nis)
+
+    def status(self, view: View) -> Status:
+        """Rejections, outage, recovery and NIS."""
+        status = Status(self._name)
+        reasons = [r.reason for r in view.rejected.total if r.topic == self._name]
+        told = [reason for reason in reasons if reason not in self._ignored(view)]
+        view.report_refused(status, [self._name], told)
+        view.report_refused(status, [topic for topic in self._topics if topic in view.silence])
+        self._report_outage(status, view)
+        recoveries = _RECOVERIES if self._tells_velocity else {}
+        for name, what in recoveries.items():
+            if count := view.events.recent[name]:
+                status.complain(
+                    WARN,
+                    name,
+                    f"{what}, {count} times in the last {RECENT:.0f} s: find out what was wrong "
+                    "before, a measurement or the IMU",
+                )
+        view.show(status, *self._topics)
+        for name in ("accepted", "rejected"):
+            status.values[f"{self._label} updates {name}"] = self._updates[name]
+        for refused, count in view.rejected.total.items():
+            if refused.topic == self._name:
+                status.values[f"rejected {refused}"] = count
+        self._report_nis(status)
+        view.show_events(status, *recoveries)
+        return status
+
+    def _report_outage(self, status: Status, view: View) -> None:
+        """Complain of a long time of the stamps without a used measurement."""
+        state, first_ns = self._fold.latest, self._published.first_ns
+        if state is None or first_ns is None:
+            return
+        times = summary(state)
+        accepted_ns = times.accepted_ns[self._name]
+        outage_ns = times.time_ns - (first_ns if accepted_ns is None else accepted_ns)
+        if outage_ns <= OUTAGE_NS:
+            return
+        received = sum(view.received.recent[topic] for topic in self._topics)
+        why = (
+            f"{received} were received in the last {RECENT:.0f} s, see which were refused"
+            if received
+            else f"none is received, check the {self._label}'s driver, its topic and the "
+            "connections"
+        )
+        sigma = f"the height's sigma is {self._published.height_sigma:.2f} m"
+        if self._tells_velocity:
+            sigma = f"the velocity's sigma is {self._published.velocity_sigma:.2f} m/s"
+        status.complain(
+            ERROR if outage_ns > LOST_NS else WARN,
+            "outage",
+            f"no {self._label} measurement used for {outage_ns / NS:.0f} s: {why}; {sigma}",
+        )
+
+    def _report_nis(self, status: Status) -> None:
+        if not self._nis:
+            return
+        count, nis = len(self._nis), float(np.mean(self._nis))
+        status.values[f"NIS, mean of {count}"] = f"{nis:.3f}"
+        status.summary = f"mean NIS {nis:.2f} ({self._rows} is expected)"
+        limit = 2.0 * 2.0 * float(gammaincinv(self._rows / 2.0, 0.5))  # twice chi-square's median
+        if count >= NIS_COUNT and float(np.median(self._nis)) > limit:
+            status.complain(
+                WARN,
+                "overconfident",
+                f"the mean NIS of {count} measurements is {nis:.1f}, {self._rows} is expected: the "
+                "filter is overconfident, its process noise or the "
+                f"{self._label}'s noise_std is too small",
+            )
+
+    def _ignored(self, view: View) -> tuple[str, ...]:
+        """Reasons of updates that are not reported.
+
+        One measurement in a thousand fails the gate by chance, and none is used before the start.
+        """
+        by_the_gate = sum(
+            n
+            for refused, n in view.rejected.recent.items()
+            if refused.topic == self._name and refused.reason == "gate"
+        )
+        few = by_the_gate < GATE_REJECTIONS
+        return ("not_initialised", "gate") if few else ("not_initialised",)
