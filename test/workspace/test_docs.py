@@ -66,3 +66,18 @@ def test_the_index_has_every_page() -> None:
     index = (ROOT / "docs" / "README.md").read_text()
     pages = [str(page.relative_to(ROOT / "docs")) for page in (ROOT / "docs").rglob("*.md")]
     assert [page for page in pages if page != "README.md" and f"({page})" not in index] == []
+
+
+def test_the_example_of_a_sensor_is_the_code() -> None:
+    """Each block of the page names its file, and stands in it as it is."""
+    page = (ROOT / "docs" / "how-to" / "extending.md").read_text()
+    blocks = re.findall(r"```python\n# (\S+)\n\n(.*?)\n```", page, re.DOTALL)
+    assert {path.rpartition("/")[2] for path, _ in blocks} == {
+        "depth.py",
+        "parameters.py",
+        "topics.py",
+    }
+    for path, block in blocks:
+        source = (ROOT / path).read_text()
+        for part in block.split("\n\n# ...\n\n"):
+            assert part in source, f"{path} does not have:\n{part}"
