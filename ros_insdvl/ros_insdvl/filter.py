@@ -19,9 +19,9 @@ from sensor_msgs.msg import Imu
 from std_srvs.srv import Trigger
 
 from insdvl.messages.feed import Feed
-from insdvl.messages.make import fill_imu, fill_odometry, fill_twist
+from insdvl.messages.make import fill_imu, fill_innovation, fill_odometry
 from insdvl.messages.topics import Topic
-from insdvl.navigation.events import NS, Event, ProcessNoise
+from insdvl.navigation.events import NS, Event, Measurement, ProcessNoise
 from insdvl.navigation.events import Imu as ImuSample
 from insdvl.navigation.geometry.frames import CONVENTIONS
 from insdvl.navigation.measurements.dvl import Dvl
@@ -89,12 +89,18 @@ class FilterNode(InsdvlNode[FilterParameters]):
 
         self._odometry = self.advertise(Odometry, "odometry/filtered")
         self._bias = self.advertise(Imu, "imu/bias")
-        self._innovation = self.advertise(TwistWithCovarianceStamped, "dvl/innovation")
+        self._innovations = {
+            name: (
+                self.advertise(TwistWithCovarianceStamped, f"{name}/innovation"),
+                TwistWithCovarianceStamped(),
+            )
+            for name in dict.fromkeys(topic.measurement for topic in topics.values())
+            if name
+        }
         # A message is serialised when it is sent, so one of each kind serves for ever.
         self._odometry_message = Odometry(child_frame_id=parameters.base_frame)
         self._odometry_message.header.frame_id = parameters.odom_frame
         self._bias_message = Imu()
-        self._innovation_message = TwistWithCovarianceStamped()
 
         self._bias_second: int | None = None
         self.create_service(Trigger, "~/reset", self._reset)
@@ -165,8 +171,9 @@ class FilterNode(InsdvlNode[FilterParameters]):
                 self._watch.took(event)
                 if isinstance(event, ImuSample):
                     self._bias_message.header.frame_id = message.header.frame_id
-                elif isinstance(event, Dvl):
-                    self._innovation_message.header.frame_id = message.header.frame_id
+                elif isinstance(event, Measurement):
+                    _, innovation = self._innovations[event.name]
+                    innovation.header.frame_id = message.header.frame_id
         finally:
             self._publish()
         if self._state_file is not None and (state := self._fold.latest) is not None:
@@ -230,20 +237,17 @@ class FilterNode(InsdvlNode[FilterParameters]):
 
     def _publish_update(self, update: AppliedUpdate) -> None:
         report = update.report
-        if not np.isfinite(report.nis):  # nothing was predicted to compare it with
-            self.reject("dvl", report.reason, f"{report.reason}: stamp {update.stamp_ns} ns")
+        if not np.isfinite(report.nis):  # refused before it was compared with a prediction
+            detail = f"{report.reason}: stamp {update.stamp_ns} ns"
+            self.reject(report.measurement, report.reason, detail)
             return
         self._watch.updated(update)
         if not report.accepted:
-            self.reject("dvl", report.reason, f"{report.reason}: NIS {report.nis:.1f}")
-        axes = self._convention.body
-        fill_twist(
-            self._innovation_message,
-            update.stamp_ns,
-            axes @ report.innovation,
-            axes @ report.S @ axes.T,
-        )
-        self._innovation.send(self._innovation_message)
+            detail = f"{report.reason}: NIS {report.nis:.1f}"
+            self.reject(report.measurement, report.reason, detail)
+        output, message = self._innovations[report.measurement]
+        fill_innovation(message, update.stamp_ns, report.innovation, report.S, self._convention)
+        output.send(message)
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._feed.reset()
