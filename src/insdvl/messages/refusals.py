@@ -8,7 +8,7 @@ class Refused(NamedTuple):
 
     Attributes:
         topic: As the topic is named in the code.
-        reason: One word, such as ``not_finite``; docs/diagnostics.md has all of them.
+        reason: One word, such as ``not_finite``; docs/reference/diagnostics.md has all of them.
     """
 
     topic: str
