@@ -5,8 +5,9 @@ import pytest
 from geometry_msgs.msg import Quaternion, TwistWithCovarianceStamped, Vector3
 from rclpy.serialization import deserialize_message, serialize_message
 
-from insdvl.messages.make import fill_twist, flat_covariance, set_quaternion, set_vector
+from insdvl.messages.make import fill_innovation, flat_covariance, set_quaternion, set_vector
 from insdvl.messages.topics import TOPICS
+from insdvl.navigation.geometry.frames import ENU
 from insdvl.parameters.declaration import ParameterError
 from ros_insdvl.conversions import message_class, time_of
 
@@ -48,14 +49,20 @@ def test_stamp_keeps_every_nanosecond(stamp_ns: int) -> None:
     assert stamp.sec * 1_000_000_000 + stamp.nanosec == stamp_ns
 
 
-def test_innovation_leaves_the_angular_part_unknown() -> None:
+@pytest.mark.parametrize("rows", [1, 3, 4])
+def test_innovation_has_as_many_numbers_as_the_measurement_has_rows(rows: int) -> None:
     message = TwistWithCovarianceStamped()
-    S = np.array([[3.0, 1.0, 0.0], [1.0, 4.0, 0.5], [0.0, 0.5, 5.0]])
-    fill_twist(message, 5, np.array([1.0, 2.0, 3.0]), S)
-    covariance = message.twist.covariance.reshape(6, 6)
-    assert (covariance[:3, :3] == S).all()
-    assert not covariance[3:].any()
-    assert not covariance[:, 3:].any()
+    S = np.diag(np.arange(2.0, 2.0 + rows)) + 0.5
+    fill_innovation(message, 5, np.arange(1.0, 1.0 + rows), S, ENU)
+    received = deserialize_message(serialize_message(message), TwistWithCovarianceStamped)
+    twist = received.twist.twist
+    numbers = [getattr(v, axis) for v in (twist.linear, twist.angular) for axis in "xyz"]
+    # A vector of three is in the axes of the stream, forward-left-up.
+    signs = np.diag(ENU.body) if rows == 3 else np.ones(rows)
+    assert numbers == [*(signs * np.arange(1.0, 1.0 + rows)), *np.zeros(6 - rows)]
+    covariance = received.twist.covariance.reshape(6, 6)
+    assert (covariance[:rows, :rows] == S * np.outer(signs, signs)).all()
+    assert not covariance[rows:].any() and not covariance[:, rows:].any()
 
 
 def test_every_type_of_the_table_is_found_by_its_name() -> None:

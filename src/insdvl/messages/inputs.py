@@ -1,4 +1,4 @@
-"""The filter's inputs: what becomes of a message on each topic of the table.
+"""The filter's inputs: which events a message on each topic of the table becomes.
 
 The filter node and `insdvl replay` read their messages through this, so both fold the same events.
 """

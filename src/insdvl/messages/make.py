@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from insdvl.arrays import Array
 from insdvl.navigation.events import NS
+from insdvl.navigation.geometry.frames import Convention
 
 #: Covariance of a quantity that a message does not carry (REP-145).
 NOT_MEASURED = np.array([-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
@@ -155,6 +156,32 @@ def fill_odometry(
     set_vector(message.twist.twist.linear, linear)
     set_vector(message.twist.twist.angular, angular)
     message.twist.covariance = flat_covariance(twist_covariance, 6)
+
+
+def fill_innovation(
+    message: Any, stamp_ns: int, innovation: Array, S: Array, convention: Convention
+) -> None:
+    """Fill a geometry_msgs/TwistWithCovarianceStamped with the innovation of a measurement.
+
+    The rows of the measurement are the first elements of the twist, and the others are zero. A
+    vector of three is rotated to the axes of the stream.
+
+    Args:
+        message: The message.
+        stamp_ns: Stamp [ns].
+        innovation: (m,) measured minus predicted, with m <= 6.
+        S: (m, m) its covariance.
+        convention: Axes of the stream.
+    """
+    m = innovation.size
+    if m == 3:
+        innovation, S = convention.body @ innovation, convention.body @ S @ convention.body.T
+    rows, covariance = np.zeros(6), np.zeros((6, 6))
+    rows[:m], covariance[:m, :m] = innovation, S
+    set_stamp(message, stamp_ns)
+    set_vector(message.twist.twist.linear, rows[:3])
+    set_vector(message.twist.twist.angular, rows[3:])
+    message.twist.covariance = covariance.ravel()
 
 
 def _floats(value: ArrayLike, size: int) -> list[float]:

@@ -156,7 +156,8 @@ def _fix(message: Any, parameters: FilterParameters) -> Iterator[Event]:
 # ---------------------------------------------------------------- the table
 
 _OF_IMU = ("bad_stamp", "no_stamp", "not_finite", "no_data", "bad_covariance")
-_OF_TWIST = ("bad_stamp", "no_stamp", "not_finite", "no_data", "bad_covariance")
+_OF_TWIST = ("bad_stamp", "no_stamp", "not_finite")
+_OF_TWIST_WITH_COVARIANCE = (*_OF_TWIST, "no_data", "bad_covariance")
 _OF_ODOMETRY = ("bad_stamp", "not_finite", "bad_quaternion", "no_data", "bad_covariance")
 _OF_DEPTH = (
     *("bad_stamp", "no_stamp", "not_finite", "bad_covariance"),
@@ -202,7 +203,7 @@ TOPICS: tuple[Topic, ...] = (
         DVL_WITH_COVARIANCE,
         (convert.TWIST_WITH_COVARIANCE,),
         _dvl,
-        _OF_TWIST,
+        _OF_TWIST_WITH_COVARIANCE,
         measurement="dvl",
         frames=_DVL_FRAMES,
         replay_parameter="dvl_covariance_topic",

@@ -42,6 +42,7 @@ from insdvl.tuner.network import Network, NetworkError
 ROOT = Path(__file__).parents[3]
 RELIABILITY = ROOT / "docs" / "reliability"
 MB = 2**20
+LONG = pytest.mark.long
 
 
 @pytest.fixture(autouse=True)
@@ -271,18 +272,20 @@ def damaged(good: bytes, rng: np.random.Generator) -> bytes:
     return bytes(data)
 
 
+@pytest.mark.parametrize("share", [0.3, pytest.param(1.0, marks=LONG)])
 @pytest.mark.parametrize("name", READERS)
 def test_a_damaged_file_is_read_or_refused(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    name: str, share: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     reader = READERS[name]
+    count = round(share * reader.count)
     path = reader.good(tmp_path)
     reader.read(tmp_path)
     good = path.read_bytes()
     rng = np.random.default_rng(zlib.crc32(name.encode()))
     refused = 0
     before = resident()
-    for _ in range(reader.count):
+    for _ in range(count):
         path.write_bytes(damaged(good, rng))
         try:
             reader.read(tmp_path)
@@ -291,7 +294,7 @@ def test_a_damaged_file_is_read_or_refused(
             assert len(str(error)) < 2000
             refused += 1
     assert resident() - before < 100 * MB
-    assert refused > reader.count / 10 or reader.error is None
+    assert refused > count / 10 or reader.error is None
 
 
 def test_a_damaged_network_is_run_or_refused() -> None:
@@ -468,8 +471,13 @@ def test_what_is_no_plain_data_is_refused(
     assert not (tmp_path / "executed").exists()
 
 
-def test_a_file_of_parameters_as_large_as_allowed_is_read(tmp_path: Path) -> None:
-    lines = [f"/**/node_{k}: {{ros__parameters: {{gain: {k}.5}}}}\n" for k in range(15_000)]
+@pytest.mark.parametrize("limit", [2**16, pytest.param(yaml_files.MAX_BYTES, marks=LONG)])
+def test_a_file_of_parameters_as_large_as_allowed_is_read(
+    limit: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(yaml_files, "MAX_BYTES", limit)
+    count = limit // 70
+    lines = [f"/**/node_{k}: {{ros__parameters: {{gain: {k}.5}}}}\n" for k in range(count)]
     text = "".join(lines) + PARAMETERS
     assert 0.5 * yaml_files.MAX_BYTES < len(text) < yaml_files.MAX_BYTES
     (tmp_path / "file.yaml").write_text(text)

@@ -30,7 +30,7 @@ from insdvl.simulation.noise import SCENARIOS, constant
 from insdvl.simulation.trajectories import BASELINE
 from insdvl.studies.evaluation.metrics import autocorrelation, normalised_innovations
 from insdvl.studies.replay import fold as replay
-from insdvl.studies.replay.fold import fold_recording, read
+from insdvl.studies.replay.fold import Replayed, fold_recording, read
 from insdvl.studies.replay.injection import Injection
 from insdvl.studies.replay.learning import with_learned
 from insdvl.studies.replay.output_bag import write_bag
@@ -68,6 +68,17 @@ def bag(mission: Mission, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return save(tmp_path_factory.mktemp("bags") / "mission", record(mission))
 
 
+@pytest.fixture(scope="module")
+def recording(bag: Path) -> list[Raw]:
+    return read(bag, REPLAY)
+
+
+@pytest.fixture(scope="module")
+def replayed(recording: list[Raw]) -> Replayed:
+    """With the parameters as they are."""
+    return fold_recording(recording, filter_parameters())
+
+
 def dvl_events(mission: Mission) -> list[Event]:
     return [Dvl(int(stamp), v) for stamp, v in zip(mission.dvl_stamps_ns, mission.v_d, strict=True)]
 
@@ -83,10 +94,10 @@ def assert_same_states(states: NDArray[np.void], expected: NDArray[np.void]) -> 
 
 @pytest.mark.parametrize("error_state", ["invariant", "ned"])
 def test_a_recording_folds_into_the_state_of_the_direct_run(
-    bag: Path, mission: Mission, error_state: str
+    recording: list[Raw], mission: Mission, error_state: str
 ) -> None:
     parameters = filter_parameters(error_state=error_state)
-    replayed = fold_recording(read(bag, REPLAY), parameters)
+    replayed = fold_recording(recording, parameters)
     direct = fold_arrays(
         parameters, mission.stamps_ns, mission.f_b, mission.w_ib_b, dvl_events(mission)
     )
@@ -95,9 +106,12 @@ def test_a_recording_folds_into_the_state_of_the_direct_run(
     assert not replayed.refused
 
 
-def test_the_oracle_uses_the_true_process_noise(bag: Path, mission: Mission) -> None:
+def test_the_oracle_uses_the_true_process_noise(
+    recording: list[Raw], replayed: Replayed, mission: Mission
+) -> None:
+    nominal = replayed
     parameters = filter_parameters(process_noise__source="oracle")
-    replayed = fold_recording(read(bag, REPLAY), parameters)
+    replayed = fold_recording(recording, parameters)
     true = [
         ProcessNoise(int(stamp), np.diag(q[:3]), np.diag(q[3:]))
         for stamp, q in zip(*mission.process_noise(), strict=True)
@@ -105,12 +119,12 @@ def test_the_oracle_uses_the_true_process_noise(bag: Path, mission: Mission) -> 
     events = dvl_events(mission) + true
     direct = fold_arrays(parameters, mission.stamps_ns, mission.f_b, mission.w_ib_b, events)
     assert_same_states(replayed.fold.states, direct.states)
-    nominal = fold_recording(read(bag, REPLAY), filter_parameters())
     assert (nominal.fold.states["nav"]["P"][-1] != replayed.fold.states["nav"]["P"][-1]).any()
 
 
-def test_without_recorded_process_noise_the_tuner_learns_it(bag: Path, mission: Mission) -> None:
-    recording = read(bag, REPLAY)
+def test_without_recorded_process_noise_the_tuner_learns_it(
+    recording: list[Raw], mission: Mission
+) -> None:
     learned = with_learned(recording, TunerParameters())
     tuner = Tuner(TunerParameters())
     samples = zip(mission.stamps_ns, mission.f_b, mission.w_ib_b, strict=True)
@@ -139,10 +153,10 @@ def test_without_recorded_process_noise_the_tuner_learns_it(bag: Path, mission: 
     assert_same_states(fold_recording(learned, parameters).fold.states, direct.states)
 
 
-def test_the_first_message_of_the_topic_initialises(bag: Path, mission: Mission) -> None:
+def test_the_first_message_of_the_topic_initialises(recording: list[Raw], mission: Mission) -> None:
     """Of the one before the first sample and the one at its stamp, the latter."""
     parameters = filter_parameters(initial__mode="topic")
-    replayed = fold_recording(read(bag, REPLAY), parameters)
+    replayed = fold_recording(recording, parameters)
     C, v_n = mission.truth.C_n_b[0], mission.truth.v_n[0]
     start_ns = int(mission.stamps_ns[0])
     start = Initial(start_ns, C, mission.truth.p_n[0], C.T @ v_n, "body")
@@ -156,12 +170,10 @@ def test_the_first_message_of_the_topic_initialises(bag: Path, mission: Mission)
 
 
 def test_a_recording_that_begins_again_is_folded_in_parts(
-    bag: Path, mission: Mission, tmp_path: Path
+    recording: list[Raw], replayed: Replayed, mission: Mission, tmp_path: Path
 ) -> None:
     """Each part is as the whole of a recording that is played once; nothing is lost."""
-    recording = read(bag, REPLAY)
-    parameters = filter_parameters()
-    once = fold_recording(recording, parameters)
+    parameters, once = filter_parameters(), replayed
     twice = fold_recording([*recording, *recording], parameters)
     assert_same_states(twice.fold.states, once.fold.states)
     assert_same_states(twice.parts[0].states, once.fold.states)
@@ -180,9 +192,10 @@ def test_a_recording_that_begins_again_is_folded_in_parts(
 
 
 def test_bad_messages_are_counted_and_change_nothing_else(
-    bag: Path, mission: Mission, tmp_path: Path
+    replayed: Replayed, mission: Mission, tmp_path: Path
 ) -> None:
-    raws = record(mission)
+    clean = replayed
+    raws = record(mission, every=100)
     last_ns = int(mission.stamps_ns[-1])
 
     def imu(stamp_ns: int, f: list[float]) -> Raw:
@@ -207,7 +220,6 @@ def test_bad_messages_are_counted_and_change_nothing_else(
         Refused("dvl/velocity", "too_late"): 1,
     }
     assert report(recording, replayed)["rejected"]["dvl/velocity: too_late"] == 1
-    clean = fold_recording(read(bag, REPLAY), filter_parameters())
     assert_same_states(replayed.fold.states, clean.fold.states)
     numbers = report(recording, replayed)
     assert numbers["dvl_rejected"] == 2
@@ -217,10 +229,9 @@ def test_bad_messages_are_counted_and_change_nothing_else(
 # ---------------------------------------------------------------- the numbers
 
 
-def test_the_numbers_are_those_of_the_arrays(bag: Path, mission: Mission) -> None:
-    parameters = filter_parameters()
-    recording = read(bag, REPLAY)
-    replayed = fold_recording(recording, parameters)
+def test_the_numbers_are_those_of_the_arrays(
+    recording: list[Raw], replayed: Replayed, mission: Mission
+) -> None:
     numbers = report(recording, replayed)
     states, truth = replayed.fold.states, mission.truth
 
@@ -304,8 +315,7 @@ def imu_of(recording: list[Raw]) -> NDArray[np.float64]:
     return np.array([[*m.linear_acceleration, *m.angular_velocity] for m in messages])
 
 
-def test_injected_noise_has_the_variance_that_the_oracle_is_told(bag: Path) -> None:
-    recording = read(bag, REPLAY)
+def test_injected_noise_has_the_variance_that_the_oracle_is_told(recording: list[Raw]) -> None:
     noisy = Injection((1e-3, 5e-2), (1e-6, 1e-4), seed=3).applied(recording)
     added = imu_of(noisy) - imu_of(recording)
     told: list[NDArray[np.float64]] = []
@@ -329,8 +339,7 @@ def test_injected_noise_has_the_variance_that_the_oracle_is_told(bag: Path) -> N
     assert [raw for raw in noisy if not raw.topic.endswith(("data_raw", "process_noise"))] == others
 
 
-def test_the_seed_decides_the_injected_noise(bag: Path) -> None:
-    recording = read(bag, REPLAY)
+def test_the_seed_decides_the_injected_noise(recording: list[Raw]) -> None:
     injections = [Injection((1e-3, 5e-2), (1e-6, 1e-4), seed) for seed in (1, 1, 2)]
     first, again, other = (injection.applied(recording) for injection in injections)
     assert first == again
@@ -368,13 +377,12 @@ def config(folder: Path, text: str = CONFIG) -> Path:
 
 
 def test_the_command_writes_its_numbers(
-    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    bag: Path, recording: list[Raw], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     arguments = ["replay", str(bag), "--config", str(config(tmp_path))]
     assert cli.main([*arguments, "--json", str(tmp_path / "a.json")]) == 0
     printed = capsys.readouterr().out
     numbers = json.loads((tmp_path / "a.json").read_text())
-    recording = read(bag, REPLAY)
     parameters = build(FilterParameters, {"initial.mode": "topic"})
     expected = report(recording, fold_recording(recording, parameters))
     assert {name: numbers[name] for name in expected} == expected

@@ -161,8 +161,11 @@ def test_two_reversed_axes_are_named(mission: Mission) -> None:
 @pytest.mark.parametrize(
     ("trajectory", "scenario"),
     [
-        *((AUV, scenario) for scenario in SCENARIOS),
-        *((trajectory, "wide") for trajectory in (*BASELINE.values(), LOOP, STATIC)),
+        (AUV, "varying"),
+        (LOOP, "wide"),
+        (STATIC, "wide"),
+        *(pytest.param(AUV, name, marks=pytest.mark.long) for name in SCENARIOS),
+        *(pytest.param(motion, "wide", marks=pytest.mark.long) for motion in BASELINE.values()),
     ],
 )
 def test_a_right_mission_is_never_accused(trajectory: Any, scenario: str) -> None:
@@ -194,9 +197,9 @@ def test_errors_of_the_sensors_are_no_wrong_axes() -> None:
         ),
     )
     watch = FrameCheck(build(FilterParameters, {"dvl.lever_arm": lever_arm}))
-    for event in events(mission):
+    for k, event in enumerate(events(mission)):
         watch.add(event)
-        assert not watch.findings()
+        assert k % 50 or not watch.findings()  # a finding takes 10 s of samples
     assert 8 <= len(watch._residuals) <= 12
 
 
@@ -267,7 +270,7 @@ def test_memory_is_bounded() -> None:
 
 def test_a_replay_tells_what_it_found() -> None:
     mission = simulate(AUV, SCENARIOS["constant-tableI"], seed=7, duration=25.0)
-    recording = [raw._replace(topic=TOPICS[raw.topic]) for raw in record(mission)]
+    recording = [raw._replace(topic=TOPICS[raw.topic]) for raw in record(mission, every=100)]
     for convention, found in ("enu", 0), ("ned", 1):
         parameters = build(FilterParameters, {"frame_convention": convention})
         replayed = fold_recording(recording, parameters)

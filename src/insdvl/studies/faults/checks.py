@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from insdvl.messages.refusals import Refused
-from insdvl.messages.topics import DVL
+from insdvl.messages.topics import DVL, measurement_of
 from insdvl.navigation.events import NS
-from insdvl.studies.faults import row
+from insdvl.studies.faults import expectation
 from insdvl.studies.faults.flight import Flight
 
 SETTLE = 10.0  # s after the end of a fault, when its consequences should be over
@@ -68,7 +68,7 @@ class Pair(NamedTuple):
 
 
 Pairs = Sequence[Pair]
-Check = row.Check[Pairs]
+Check = expectation.Check[Pairs]
 
 
 def _range(values: Sequence[float], form: str) -> str:
@@ -132,7 +132,7 @@ def update_reason(reason: str, share: float = 1.0, *, topic: str = DVL) -> Check
         counts = [
             sum(
                 update.reason == reason and pair.begin_ns <= update.stamp_ns < pair.end_ns
-                for update in pair.flight.updates
+                for update in pair.flight.updates_of(measurement_of(topic))
             )
             for pair in pairs
         ]
@@ -207,8 +207,9 @@ def error_below(limit: float) -> Check:
     return Check(f"error below {limit:g} m/s", judge)
 
 
-def rejoins() -> Check:
-    """The gate does not lock out: the measurements after the fault are used."""
+def rejoins(topic: str = DVL) -> Check:
+    """The gate does not lock out: the measurements of a topic after the fault are used."""
+    name = measurement_of(topic)
 
     def judge(pairs: Pairs) -> tuple[str, bool]:
         shares = []
@@ -216,13 +217,14 @@ def rejoins() -> Check:
             begin_ns, end_ns = pair.after_ns
             accepted = [
                 not update.reason
-                for update in pair.flight.updates
+                for update in pair.flight.updates_of(name)
                 if begin_ns <= update.time_ns < end_ns
             ]
             shares.append(float(np.mean(accepted)) if accepted else 0.0)
-        return f"{100.0 * min(shares):.0f} % of the DVL used afterwards", min(shares) >= 0.9
+        text = f"{100.0 * min(shares):.0f} % of the {name.upper()} used afterwards"
+        return text, min(shares) >= 0.9
 
-    return Check("DVL used again afterwards", judge)
+    return Check(f"{name.upper()} used again afterwards", judge)
 
 
 def used(least: int) -> Check:
@@ -232,7 +234,7 @@ def used(least: int) -> Check:
         counts = [
             sum(
                 not update.reason and pair.begin_ns <= update.time_ns < pair.end_ns
-                for update in pair.flight.updates
+                for update in pair.flight.updates_of(measurement_of(DVL))
             )
             for pair in pairs
         ]

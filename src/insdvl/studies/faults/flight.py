@@ -36,11 +36,13 @@ class FlownUpdate(NamedTuple):
     Attributes:
         time_ns: Time of arrival of the message that led to it.
         stamp_ns: Stamp of the measurement.
+        measurement: Its name.
         reason: Why it was not accepted; empty where it was.
     """
 
     time_ns: int
     stamp_ns: int
+    measurement: str
     reason: str
 
 
@@ -79,6 +81,10 @@ class Flight:
     finite: bool
     positive: bool
     monotonic: bool
+
+    def updates_of(self, measurement: str) -> list[FlownUpdate]:
+        """The updates of one kind of measurement."""
+        return [update for update in self.updates if update.measurement == measurement]
 
     def inside(self, begin_ns: int, end_ns: int) -> NDArray[np.bool_]:
         """Which outputs have times of arrival within [begin, end)."""
@@ -130,8 +136,10 @@ def fly(stream: Stream, parameters: FilterParameters, tuner: Tuner | None = None
         feed.give(topic, message)
         for output in feed.fold.take():
             if isinstance(output, AppliedUpdate):
-                reason = "" if output.report.accepted else output.report.reason
-                out.updates.append(FlownUpdate(time_ns, output.stamp_ns, reason))
+                report = output.report
+                reason = "" if report.accepted else report.reason
+                update = FlownUpdate(time_ns, output.stamp_ns, report.measurement, reason)
+                out.updates.append(update)
             elif not isinstance(output, TimeJump):
                 out.add(output, time_ns, feed.fold)
     return out.flight(parameters, dict(feed.refused), feed.fold.counts)
@@ -240,12 +248,15 @@ class _Outputs:
         last = len(stream.epochs) - 1
         until_ns = max((stamp_ns for stamp_ns, epoch, _ in valid if epoch == last), default=0)
         until_ns -= round(parameters.output_delay * NS)
-        samples, measurements = Counter[int](), Counter[int]()
+        samples, measurements = Counter[int](), Counter[tuple[str, int]]()
         for stamp_ns, epoch, topic in valid:
             early = epoch in first and stamp_ns < first[epoch]
             if not early and not (epoch == last and stamp_ns > until_ns):
-                (samples if topic == IMU else measurements)[stamp_ns] += 1
-        updated = Counter(update.stamp_ns for update in self.updates)
+                if topic == IMU:
+                    samples[stamp_ns] += 1
+                else:
+                    measurements[measurement_of(topic), stamp_ns] += 1
+        updated = Counter((update.measurement, update.stamp_ns) for update in self.updates)
         return (samples - self.stamps).total() + (measurements - updated).total()
 
 

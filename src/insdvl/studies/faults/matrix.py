@@ -25,14 +25,14 @@ def judged(row: FlightRow) -> dict[str, Any]:
     without the fault at the same time.
     """
     pairs = [pair(row, seed) for seed in row.seeds]
-    seen = row.judged(pairs, always())
+    seen = row.judged_checks(pairs, always())
     recoveries = [p.recovery() for p in pairs]
     known = [time for time in recoveries if time is not None]
     end_ns = [max(p.end_ns, p.begin_ns + 5 * NS) for p in pairs]
     during = [(p.begin_ns, end) for p, end in zip(pairs, end_ns, strict=True)]
     after = [p.after_ns for p in pairs]
     return {
-        "group": row.subject,
+        "group": row.group,
         "fault": row.name,
         "seeds": len(row.seeds),
         "error_during": _rms(pairs, during, "flight"),
@@ -55,7 +55,7 @@ def pair(row: FlightRow, seed: int) -> Pair:
     """Fly a seed of a row with the fault and without."""
     stream = stream_of(row.sensors, seed, row.duration)
     parameters = parameters_of(stream.mission, row.sensors, seed, row.parameters)
-    faulted = row.fault(stream, np.random.default_rng([seed, 3]))
+    faulted = row.change(stream, np.random.default_rng([seed, 3]))
     flight = fly(faulted, parameters, _tuner(row.sensors))
     shift_ns = 0
     if row.calm is not None:

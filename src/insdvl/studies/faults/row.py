@@ -1,59 +1,42 @@
-"""A row of the fault matrix: what happens, and what is expected, as a machine can check it.
+"""A row of the fault matrix: what happens, and what is expected.
 
-Faults of messages (rows/) and faults of processes (ros_insdvl_sim) are told in this one form. They
-differ in how a fault is made, and in the evidence that its checks look at.
+Faults of messages (rows/) and faults of processes (ros_insdvl_sim) are declared in this one form.
+They differ in how a change is made, and in what their checks look at.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
-Fault = TypeVar("Fault")
-Evidence = TypeVar("Evidence")
+from insdvl.studies.faults.expectation import Check, Seen
+
+Change = TypeVar("Change")
 
 
 @dataclass(frozen=True)
-class Check(Generic[Evidence]):
-    """An expectation.
-
-    Attributes:
-        text: In words.
-        judge: What is seen, in words, and whether it is as expected.
-    """
-
-    text: str
-    judge: Callable[[Evidence], tuple[str, bool]]
-
-
-@dataclass(frozen=True)
-class Row(Generic[Fault, Evidence]):
+class Row(Generic[Change, Seen]):
     """A fault and what is expected.
 
     Attributes:
-        subject: What the fault happens to; the rows of a subject are a table of the page.
+        group: What the fault concerns; the rows of a group are a table of the page.
         name: What happens, in words.
-        fault: Makes it happen.
+        change: Makes it happen.
         checks: What is expected, beside what always is.
     """
 
-    subject: str
+    group: str
     name: str
-    fault: Fault
-    checks: tuple[Check[Evidence], ...]
+    change: Change
+    checks: tuple[Check[Seen], ...]
 
-    def judged(
-        self, evidence: Evidence, always: Iterable[Check[Evidence]] = ()
+    def judged_checks(
+        self, flown: Seen, always: Iterable[Check[Seen]] = ()
     ) -> list[dict[str, Any]]:
         """Each expectation and what is seen, as JSON takes it.
 
         Args:
-            evidence: Of the row.
+            flown: What the checks look at.
             always: What is expected of every row; marked as such.
         """
-        own = [_judged(check, evidence) for check in self.checks]
-        return own + [_judged(check, evidence) | {"always": True} for check in always]
-
-
-def _judged(check: Check[Evidence], evidence: Evidence) -> dict[str, Any]:
-    seen, met = check.judge(evidence)
-    return {"expected": check.text, "seen": seen, "met": met}
+        own = [check.document(flown) for check in self.checks]
+        return own + [check.document(flown) | {"always": True} for check in always]

@@ -1,7 +1,7 @@
 """A recording through the core filter: the state that the filter node reaches, to the bit."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -56,11 +56,13 @@ class Replayed:
     Attributes:
         fold: With the states at all IMU stamps; those before a time jump are in ``fold.left``.
         refused: Messages that were not used, by topic and reason.
+        measurements: Name of the measurement of each topic that feeds one.
         findings: Contradictions of the frames, see `FrameCheck`.
     """
 
     fold: Fold
     refused: Counter[Refused]
+    measurements: Mapping[str, str]
     findings: list[str]
 
     @property
@@ -112,4 +114,6 @@ def fold_recording(recording: Sequence[Raw], parameters: FilterParameters) -> Re
             if refusal is None:
                 checks[-1].add(event)
     findings = {finding: None for check in checks for finding in check.findings()}
-    return Replayed(feed.fold, feed.refused, list(findings))
+    topics = feed.inputs.topics.items()
+    measurements = {name: topic.measurement for name, topic in topics if topic.measurement}
+    return Replayed(feed.fold, feed.refused, measurements, list(findings))

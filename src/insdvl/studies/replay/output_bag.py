@@ -4,14 +4,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from insdvl.messages.topics import IMU, measurement_of
+from insdvl.messages.convert import TWIST_WITH_COVARIANCE
+from insdvl.messages.make import fill_innovation
+from insdvl.messages.topics import IMU, taken
 from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.frames import CONVENTIONS
 from insdvl.navigation.odometry import biases, odometry
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.recordings.bag_writer import BagWriter
-from insdvl.recordings.base import Raw, decode, encode
-from insdvl.recordings.messages import imu_message, odometry_message, twist_message
+from insdvl.recordings.base import Raw, decode, encode, new_message
+from insdvl.recordings.messages import imu_message, odometry_message
 from insdvl.studies.replay.fold import Replayed
 
 
@@ -25,12 +27,14 @@ def write_bag(
     """
     for raw in recording:
         bag.write(raw._replace(topic="/" + raw.topic))
-    axes = CONVENTIONS[parameters.frame_convention].body
     frames = parameters.odom_frame, parameters.base_frame
     frame_ids = {raw.topic: decode(raw).message.header.frame_id for raw in _firsts(recording)}
-    dvl_frame = next(
-        (frame for topic, frame in frame_ids.items() if measurement_of(topic) == "dvl"), ""
-    )
+    sensors = {
+        topic.measurement: frame_ids[name.lstrip("/")]
+        for name, topic in reversed(taken(parameters).items())
+        if name.lstrip("/") in frame_ids
+    }
+    convention = CONVENTIONS[parameters.frame_convention]
     second = None
     initialised = [
         (part, int(k))
@@ -65,13 +69,11 @@ def write_bag(
     for update in replayed.updates:
         if not np.isfinite(update.report.nis):
             continue  # refused before it was compared with a prediction
-        message = twist_message(
-            update.stamp_ns,
-            dvl_frame,
-            axes @ update.report.innovation,
-            axes @ update.report.S @ axes.T,
-        )
-        bag.write(encode("/dvl/innovation", update.stamp_ns, message))
+        report = update.report
+        message = new_message(TWIST_WITH_COVARIANCE)
+        message.header.frame_id = sensors[report.measurement]
+        fill_innovation(message, update.stamp_ns, report.innovation, report.S, convention)
+        bag.write(encode(f"/{report.measurement}/innovation", update.stamp_ns, message))
 
 
 def _firsts(recording: Sequence[Raw]) -> list[Raw]:

@@ -1,7 +1,7 @@
 """What a folded recording is worth: its errors against the recorded truth, and its innovations."""
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,9 +11,11 @@ from insdvl.arrays import Array, Stamps
 from insdvl.files import finite
 from insdvl.messages import convert
 from insdvl.messages.convert import RejectedMessage
-from insdvl.messages.topics import TRUTH, measurement_of
+from insdvl.messages.topics import TRUTH
 from insdvl.navigation.events import NS
+from insdvl.navigation.filter import UpdateReport
 from insdvl.navigation.geometry.frames import NED
+from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.odometry import Odometry, odometry
 from insdvl.recordings.base import Raw, decode
 from insdvl.studies.evaluation.metrics import (
@@ -25,8 +27,9 @@ from insdvl.studies.evaluation.metrics import (
 )
 from insdvl.studies.replay.fold import Replayed
 from insdvl.timeline.fold import Fold
-from insdvl.timeline.output import FoldResult
+from insdvl.timeline.output import AppliedUpdate, FoldResult
 
+DVL = Dvl.name
 LAGS = 10  # of the autocorrelation
 
 
@@ -83,7 +86,7 @@ def errors_of(fold: Fold | FoldResult, stamps_ns: Stamps, truth: Track) -> dict[
     ``velocity_rmse`` is of the vector in navigation axes; ``nis_mean`` is over the DVL updates
     that corrected the state. What is not known is None.
     """
-    nis = [update.report.nis for update in fold.updates if update.report.corrected]
+    nis = [report.nis for report in _corrections(fold.updates, DVL)]
     times_ns = fold.states["nav"]["time_ns"][fold.states["nav"]["initialised"] != 0]
     inside = np.zeros(len(stamps_ns), dtype=bool)
     if times_ns.size:
@@ -118,27 +121,50 @@ def errors_of(fold: Fold | FoldResult, stamps_ns: Stamps, truth: Track) -> dict[
     return {name: finite(value) for name, value in result.items()}
 
 
+def _corrections(updates: Iterable[AppliedUpdate], name: str) -> list[UpdateReport]:
+    """The reports of a measurement whose innovation corrected the state."""
+    reports = (update.report for update in updates)
+    return [report for report in reports if report.measurement == name and report.corrected]
+
+
+def _updates_of(name: str, replayed: Replayed) -> dict[str, Any]:
+    """How many updates of a measurement were accepted and rejected, and its mean NIS.
+
+    The NIS of the DVL is among the numbers of `errors_of`.
+    """
+    reports = [u.report for u in replayed.updates if u.report.measurement == name]
+    reasons = Counter(report.reason for report in reports if not report.accepted)
+    for (topic, reason), count in replayed.refused.items():
+        if replayed.measurements.get(topic) == name:
+            reasons[reason] += count
+    numbers: dict[str, Any] = {
+        f"{name}_accepted": sum(report.accepted for report in reports),
+        f"{name}_rejected": sum(reasons.values()),
+        f"{name}_rejected_by_reason": dict(reasons),
+    }
+    if name != DVL:
+        nis = [report.nis for report in _corrections(replayed.updates, name)]
+        numbers[f"{name}_nis_mean"] = float(np.mean(nis)) if nis else None
+    return numbers
+
+
 def report(recording: Sequence[Raw], replayed: Replayed) -> dict[str, Any]:
     """The numbers of the command's JSON; None where the recording has nothing to compare with.
 
     Beside `errors_of`, the autocorrelation of the innovations of the DVL updates that corrected the
-    state. After a time jump the errors are those of the last part, the counts those of all parts.
+    state, and how many updates of each measurement were accepted and rejected. After a time jump
+    the errors are those of the last part, the counts those of all parts.
     """
     fold = replayed.fold
-    updates = replayed.updates
-    corrected = [update.report for update in updates if update.report.corrected]
-    reasons = Counter(u.report.reason for u in updates if not u.report.accepted)
-    for (topic, reason), count in replayed.refused.items():
-        if measurement_of(topic) == "dvl":
-            reasons[reason] += count
+    corrected = _corrections(replayed.updates, DVL)
     nu = np.array([r.innovation for r in corrected]).reshape(-1, 3)
     S = np.array([r.S for r in corrected]).reshape(-1, 3, 3)
     known = replayed.initialised
     times_ns = fold.states["nav"]["time_ns"][known]
-    return errors_of(fold, *truth_of(recording)) | {
-        "dvl_accepted": sum(u.report.accepted for u in updates),
-        "dvl_rejected": sum(reasons.values()),
-        "dvl_rejected_by_reason": dict(reasons),
+    document = errors_of(fold, *truth_of(recording))
+    for name in dict.fromkeys(replayed.measurements.values()):
+        document |= _updates_of(name, replayed)
+    return document | {
         "innovation_autocorrelation": (
             autocorrelation(normalised_innovations(nu, S), LAGS) if len(corrected) > LAGS else None
         ),

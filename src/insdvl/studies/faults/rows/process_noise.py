@@ -25,7 +25,7 @@ def _rows() -> list[FlightRow]:
     external = {"process_noise.source": "external"}
     learned = Sensors(learned=True)
 
-    def told(change: Callable[[Any], Any]) -> Change:
+    def edited(change: Callable[[Any], Any]) -> Change:
         return changes.edited(PROCESS_NOISE, BEGIN, END, change)
 
     return [
@@ -39,7 +39,7 @@ def _rows() -> list[FlightRow]:
         FlightRow(
             "Process noise",
             "NaN for 30 s",
-            told(changes.covariance(np.full((3, 3), np.nan))),
+            edited(changes.covariance(np.full((3, 3), np.nan))),
             (
                 refused("bad_covariance", PROCESS_NOISE),
                 counter("q_timeouts", 1),
@@ -51,14 +51,14 @@ def _rows() -> list[FlightRow]:
         FlightRow(
             "Process noise",
             "zeros (unknown) for 30 s",
-            told(changes.covariance(np.zeros((3, 3)))),
+            edited(changes.covariance(np.zeros((3, 3)))),
             (nothing_refused(), covered(), recovers(10.0)),
             parameters=external,
         ),
         FlightRow(
             "Process noise",
             "far too small for 30 s: the floor",
-            told(changes.covariance(1e-30 * np.eye(3))),
+            edited(changes.covariance(1e-30 * np.eye(3))),
             # A wrong Q gives a wrong sigma; what must hold is that no good measurement is lost.
             (nothing_refused(), counter("floors", 30), error_below(1.0), rejoins()),
             parameters=external,
@@ -66,7 +66,7 @@ def _rows() -> list[FlightRow]:
         FlightRow(
             "Process noise",
             "far too large for 30 s: the ceiling",
-            told(changes.covariance(1e5 * np.eye(3))),
+            edited(changes.covariance(1e5 * np.eye(3))),
             (nothing_refused(), counter("ceilings", 30), covered(), recovers(20.0), rejoins()),
             parameters=external,
         ),
