@@ -34,8 +34,8 @@ setup(
     zip_safe=True,
     entry_points={
         "console_scripts": [
-            f"{executable} = {NAME}.{executable}:main"
-            for executable in ("demo", "faults", "relay", "replay", "simulator", "soak")
+            *(f"{node} = {NAME}.{node}:main" for node in ("relay", "replay", "simulator")),
+            *(f"{trial} = {NAME}.trials.{trial}:main" for trial in ("demo", "faults", "soak")),
         ]
     },
 )

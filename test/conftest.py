@@ -9,8 +9,12 @@ import os
 import shutil
 import socket
 import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
 from pathlib import Path
+from typing import Any
 
+import pytest
 from hypothesis import settings
 
 ROOT = Path(__file__).parents[1]
@@ -46,3 +50,10 @@ os.environ.update(
 # The machine's load must not decide a test, and no test may depend on an earlier run.
 settings.register_profile("insdvl", database=None, deadline=None)
 settings.load_profile("insdvl")
+
+
+@pytest.fixture
+def managed() -> Iterator[Callable[[Any], Any]]:
+    """Closes what it is given when the test is over."""
+    with ExitStack() as stack:
+        yield lambda thing: stack.enter_context(closing(thing))

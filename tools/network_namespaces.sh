@@ -60,7 +60,8 @@ filter=$!
     { cat "$logs/simulator" >&2; exit 1; }
 grep '^sent' "$logs/simulator"
 inside "$folder/bin/python" - <<'END'
-from ros_insdvl_sim.harness import Witness
+from ros_insdvl_sim.trials.names import FILTER_NODE
+from ros_insdvl_sim.trials.witness import Witness
 
 FILTER = "/insdvl_filter"
 witness = Witness()

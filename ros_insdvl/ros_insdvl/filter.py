@@ -34,9 +34,11 @@ from insdvl.timeline.output import AppliedUpdate
 from insdvl.timeline.state_file import StateFile
 from insdvl.watch.alignment import FrameCheck
 from ros_insdvl.conversions import message_class
-from ros_insdvl.diagnostics import Status, View
-from ros_insdvl.filter_status import FilterWatch
-from ros_insdvl.node import InsdvlNode, command_qos, run, sensor_qos
+from ros_insdvl.execution import run_node
+from ros_insdvl.node import InsdvlNode
+from ros_insdvl.qos import command_qos, sensor_qos
+from ros_insdvl.status.diagnostics import Status, View
+from ros_insdvl.status.filter.watch import FilterWatch
 
 DISCOVERY_PERIOD = 0.5  # s of the steady clock between two looks for the type of a topic
 
@@ -274,7 +276,7 @@ class FilterNode(InsdvlNode[FilterParameters]):
 
 def main() -> int:
     """Run the node until it is interrupted."""
-    return run(FilterNode)
+    return run_node(FilterNode)
 
 
 if __name__ == "__main__":

@@ -3,108 +3,39 @@
 import sys
 import time
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from itertools import islice
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry
-from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import Imu
 
+from insdvl.arrays import Array
 from insdvl.messages.convert import stamp_ns
 from insdvl.navigation.events import NS
-from insdvl.parameters.declaration import parameter
-from insdvl.studies.evaluation.metrics import rmse
-from ros_insdvl.diagnostics import OK
-from ros_insdvl.node import InsdvlNode, command_qos, publisher_qos, run
-
-Array = NDArray[np.float64]
+from insdvl.watch.monitor_parameters import MonitorParameters
+from ros_insdvl.execution import run_node
+from ros_insdvl.node import InsdvlNode
+from ros_insdvl.odometry_series import OdometrySeries
+from ros_insdvl.qos import command_qos, publisher_qos
+from ros_insdvl.status.heard import ERROR, OK, STALE, WARN, HeardDiagnostics, Report
 
 TRUTH = "ground_truth/odometry"
 LEARNED_Q = "process_noise"
 TRUE_Q = "ground_truth/process_noise"
 
-STALE_TIME = 5.0  # s of the wall; every node tells its diagnostics once a second
-LEVELS = {
-    DiagnosticStatus.OK: "ok",
-    DiagnosticStatus.WARN: "warn",
-    DiagnosticStatus.ERROR: "ERROR",
-    DiagnosticStatus.STALE: "stale",
-}
+STALE_TIME = 5.0  # s of the wall; every node reports once a second
+_LEVELS = {OK: "ok", WARN: "warn", ERROR: "ERROR", STALE: "stale"}
 
 
-@dataclass(frozen=True)
-class MonitorParameters:
-    """Parameters of the monitor."""
+class Noise(NamedTuple):
+    """A process noise: its stamp and per-sample variances (6,), f_b then w_ib_b."""
 
-    filters: tuple[str, ...] = parameter(
-        ("",),
-        "Namespaces of the filters to show, such as /constant and /learned; an empty one is the "
-        "monitor's own.",
-    )
-    period: float = parameter(
-        1.0, "Time between two tables, of the wall.", unit="s", low=0.1, high=3600.0
-    )
-    window: float = parameter(
-        10.0,
-        "The RMS of the velocity error is over this time of the stamps.",
-        unit="s",
-        low=1.0,
-        high=600.0,
-    )
-    keep: int = parameter(
-        20_000, "Odometry messages kept of each topic.", low=100, high=100_000_000
-    )
-
-
-class OdometrySeries:
-    """What is kept of an odometry topic: a stamp and a row of numbers for each message.
-
-    The columns are those of the slices below; variances are the diagonal of the covariance.
-    """
-
-    POSITION = slice(0, 3)
-    QUATERNION = slice(3, 7)
-    VELOCITY = slice(7, 10)
-    POSE_VARIANCE = slice(10, 16)
-    VELOCITY_VARIANCE = slice(16, 19)
-
-    def __init__(self, keep: int) -> None:
-        self._stamps: deque[int] = deque(maxlen=keep)
-        self._rows: deque[list[float]] = deque(maxlen=keep)
-
-    def __len__(self) -> int:
-        return len(self._stamps)
-
-    def add(self, message: Odometry) -> None:
-        """Keep a message."""
-        pose, twist = message.pose, message.twist
-        p, q, v = pose.pose.position, pose.pose.orientation, twist.twist.linear
-        self._stamps.append(stamp_ns(message.header))
-        self._rows.append(
-            [
-                *(p.x, p.y, p.z, q.x, q.y, q.z, q.w, v.x, v.y, v.z),
-                *pose.covariance[::7].tolist(),
-                *twist.covariance[:15:7].tolist(),
-            ]
-        )
-
-    @property
-    def newest_ns(self) -> int | None:
-        """Stamp of the last message."""
-        return self._stamps[-1] if self._stamps else None
-
-    def arrays(self, count: int | None = None) -> tuple[NDArray[np.int64], Array]:
-        """Stamps (N,) and rows (N, 19) of the last ``count`` messages, or of all, by stamp."""
-        n = len(self) if count is None else min(count, len(self))
-        stamps = np.fromiter(islice(reversed(self._stamps), n), dtype=np.int64, count=n)
-        rows = np.array(list(islice(reversed(self._rows), n)), dtype=float).reshape(n, 19)
-        order = np.argsort(stamps, kind="stable")
-        return stamps[order], rows[order]
+    stamp_ns: int
+    variances: Array
 
 
 @dataclass
@@ -112,63 +43,63 @@ class Watched:
     """A filter, and what is known of it.
 
     Attributes:
-        values: All values of its last diagnostics.
-        level: The worst level of its statuses; stale when it has told none for `STALE_TIME`.
-        message: The worst of them, with its cause.
-        told_at: When it told them, on the monotonic clock [s].
+        label: Its namespace.
+        node: Its full name.
+        series: Its odometry.
+        heard: The diagnostics of all nodes.
     """
 
     label: str
     node: str
     series: OdometrySeries
-    values: dict[str, str] = field(default_factory=dict)
-    level: str = "-"
-    message: str = ""
-    told_at: float | None = None
+    heard: HeardDiagnostics
 
-    def look(self) -> None:
-        """See whether it still tells anything."""
-        if self.told_at is not None and (silence := time.monotonic() - self.told_at) > STALE_TIME:
-            self.level = LEVELS[DiagnosticStatus.STALE]
-            self.message = f"nothing told for {silence:.0f} s: it has ended?"
+    @property
+    def report(self) -> Report:
+        """Its last diagnostics."""
+        return self.heard.report(self.node)
 
-    def tell(self, statuses: list[DiagnosticStatus]) -> None:
-        """Take the node's last statuses."""
-        self.told_at = time.monotonic()
-        self.values = {item.key: item.value for status in statuses for item in status.values}
-        worst = max(statuses, key=lambda status: status.level)
-        self.level = LEVELS.get(worst.level, "?")
-        wrong = sum(status.level != OK for status in statuses)
-        cause = worst.name.removeprefix(f"{self.node}: ")
-        self.message = f"{cause}: {worst.message}" if wrong else "all is well"
-        if wrong > 1:
-            self.message += f" (and {wrong - 1} more)"
+    def condition(self) -> tuple[str, str]:
+        """The worst level of its statuses, and the worst message with its cause."""
+        report = self.report
+        if not report.count:
+            return "-", ""
+        silence = time.monotonic() - report.at
+        if silence > STALE_TIME:
+            return _LEVELS[STALE], f"no diagnostics for {silence:.0f} s, it may have ended"
+        cause, worst = max(report.statuses.items(), key=lambda item: item[1].level)
+        level = _LEVELS.get(worst.level, "?")
+        wrong = sum(status.level != OK for status in report.statuses.values())
+        if not wrong:
+            return level, "all is well"
+        more = f" (and {wrong - 1} more)" if wrong > 1 else ""
+        return level, f"{cause}: {worst.message}{more}"
 
     def value(self, key: str) -> str:
         """A value of its last diagnostics, `-` where there is none."""
-        return self.values.get(key, "-")
+        return self.report.values.get(key, "-")
 
     @property
     def rejected(self) -> int:
         """Number of messages and updates that it did not use."""
-        told = (v for key, v in self.values.items() if key.startswith("rejected "))
-        return sum(int(v) for v in told if v.isdecimal())  # a stranger may tell anything
+        counts = (v for key, v in self.report.values.items() if key.startswith("rejected "))
+        return sum(int(v) for v in counts if v.isdecimal())  # another node may report anything
 
     @property
     def nis(self) -> str:
         """Its mean normalised innovation squared."""
-        return next((v for key, v in self.values.items() if key.startswith("NIS")), "-")
+        return next((v for key, v in self.report.values.items() if key.startswith("NIS")), "-")
 
 
 class Monitor(InsdvlNode[MonitorParameters]):
-    """Listens to filters and to the truth where there is one, and prints a table.
+    """Listens to filters, and to the truth if there is one, and prints a table.
 
     Attributes:
         truth: The true odometry.
         filters: The filters, in the order of the parameter.
-        learned_q: Stamps and variances (6,) of process_noise, f_b then w_ib_b.
-        true_q: The same of ground_truth/process_noise.
-        values: All values of the last diagnostics of every node, by its name.
+        learned_q: The messages of process_noise.
+        true_q: The messages of ground_truth/process_noise.
+        heard: The diagnostics of every node.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -176,6 +107,7 @@ class Monitor(InsdvlNode[MonitorParameters]):
         keep = self.parameters.keep
         self.truth = OdometrySeries(keep)
         self.listen(Odometry, TRUTH, self.truth.add)
+        self.heard = HeardDiagnostics()
         self.filters: list[Watched] = []
         for namespace in self.parameters.filters:
             prefix = f"{namespace}/" if namespace else ""
@@ -183,35 +115,25 @@ class Monitor(InsdvlNode[MonitorParameters]):
                 label=namespace or self.get_namespace(),
                 node=self.resolve_topic_name(f"{prefix}insdvl_filter"),
                 series=OdometrySeries(keep),
+                heard=self.heard,
             )
             self.filters.append(watched)
             self.listen(Odometry, f"{prefix}odometry/filtered", watched.series.add)
-        self.learned_q: deque[tuple[int, Array]] = deque(maxlen=keep)
-        self.true_q: deque[tuple[int, Array]] = deque(maxlen=keep)
+        self.learned_q: deque[Noise] = deque(maxlen=keep)
+        self.true_q: deque[Noise] = deque(maxlen=keep)
         for topic, kept in ((LEARNED_Q, self.learned_q), (TRUE_Q, self.true_q)):
             self.listen(Imu, topic, _keep_variances(kept), command_qos())
-        self.values: dict[str, dict[str, str]] = {}
-        self.listen(DiagnosticArray, "/diagnostics", self._on_diagnostics, publisher_qos())
+        self.listen(DiagnosticArray, "/diagnostics", self.heard.add, publisher_qos())
         self._lines_above = 0
         self._last_line = ""
         self.create_timer(
             self.parameters.period, self._print, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
 
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        by_node: dict[str, list[DiagnosticStatus]] = {}
-        for status in message.status:
-            by_node.setdefault(status.name.split(": ")[0], []).append(status)
-        for node, statuses in by_node.items():
-            self.values[node] = {item.key: item.value for s in statuses for item in s.values}
-            for watched in self.filters:
-                if watched.node == node:
-                    watched.tell(statuses)
-
     def velocity_error(self, watched: Watched) -> tuple[Array, Array]:
         """Body velocity errors (N, 3) over the last window, and their sigmas (N, 3) [m/s].
 
-        The truth is interpolated to the stamps of the filter; N is 0 where they do not overlap.
+        The truth is interpolated to the stamps of the filter; N is 0 if they do not overlap.
         """
         none = np.empty((0, 3)), np.empty((0, 3))
         newest = watched.series.newest_ns
@@ -229,8 +151,6 @@ class Monitor(InsdvlNode[MonitorParameters]):
         return error, np.sqrt(rows[inside][:, OdometrySeries.VELOCITY_VARIANCE])
 
     def _print(self) -> None:
-        for watched in self.filters:
-            watched.look()
         if sys.stdout.isatty():
             lines = self.table()
             above = f"\x1b[{self._lines_above}A\x1b[J" if self._lines_above else ""
@@ -258,13 +178,14 @@ class Monitor(InsdvlNode[MonitorParameters]):
             now = rms = bound = "-"
             if len(error):
                 now = f"{np.linalg.norm(error[-1]):.3f}"
-                rms = f"{rmse(error):.3f}"
+                rms = f"{_rms(error):.3f}"
                 bound = f"{3.0 * np.linalg.norm(sigma[-1]):.3f}"
+            level, message = watched.condition()
             lines.append(
                 f"{watched.label:12}{now:>8}{rms:>11}{bound:>11}{watched.nis:>8}"
                 f"{watched.value('rate imu/data_raw [Hz]'):>8}"
                 f"{watched.value('rate odometry/filtered [Hz]'):>10}{watched.rejected:>10}"
-                f"  {watched.level}: {watched.message}"
+                f"  {level}: {message}"
             )
         channels = [f"{triad}_{axis}" for triad in "fw" for axis in "xyz"]
         lines.append(
@@ -277,15 +198,15 @@ class Monitor(InsdvlNode[MonitorParameters]):
         return lines
 
     def line(self) -> str:
-        """All of the table that matters in one line."""
+        """The essence of the table in one line."""
         parts = [f"stamp {self._time()}"]
         for watched in self.filters:
             error, _ = self.velocity_error(watched)
-            rms = f"{rmse(error):.3f}" if len(error) else "-"
+            rms = f"{_rms(error):.3f}" if len(error) else "-"
             parts.append(
                 f"{watched.label} velocity error {rms} m/s, NIS {watched.nis}, "
                 f"{watched.value('rate imu/data_raw [Hz]')} Hz, rejected {watched.rejected}, "
-                f"{watched.level}"
+                f"{watched.condition()[0]}"
             )
         if self.learned_q:
             parts.append(f"sigma learned {' '.join(_sigmas(self.learned_q))}")
@@ -294,26 +215,33 @@ class Monitor(InsdvlNode[MonitorParameters]):
         return " | ".join(parts)
 
 
-def _keep_variances(kept: deque[tuple[int, Array]]) -> Any:
+def _keep_variances(kept: deque[Noise]) -> Callable[[Imu], None]:
     def keep(message: Imu) -> None:
         variances = np.concatenate(
             [message.linear_acceleration_covariance[::4], message.angular_velocity_covariance[::4]]
         )
-        kept.append((stamp_ns(message.header), variances))
+        kept.append(Noise(stamp_ns(message.header), variances))
 
     return keep
 
 
-def _sigmas(kept: Sequence[tuple[int, Array]]) -> list[str]:
+def _rms(error: Array) -> float:
+    """RMS of the length of errors (N, 3)."""
+    return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
+
+
+def _sigmas(kept: Sequence[Noise]) -> list[str]:
     if not kept:
         return ["-"] * 6
-    # Zero and -1 say that a variance is unknown (REP-145).
-    return [f"{np.sqrt(variance):.4f}" if variance > 0.0 else "-" for variance in kept[-1][1]]
+    # Zero and -1 mean that a variance is unknown (REP-145).
+    return [
+        f"{np.sqrt(variance):.4f}" if variance > 0.0 else "-" for variance in kept[-1].variances
+    ]
 
 
 def main() -> int:
     """Run the node until it is interrupted."""
-    return run(Monitor)
+    return run_node(Monitor)
 
 
 if __name__ == "__main__":

@@ -11,8 +11,7 @@ from insdvl.parameters.sections import is_ros_name
 _Group = TypeVar("_Group")
 
 
-#: Values of the qos_overrides that `ros_insdvl.node` offers; rclpy names no parameter when one of
-#: them is wrong.
+#: Values of the qos_overrides that `ros_insdvl.qos` offers; rclpy does not name a wrong one.
 _QOS_VALUES = {
     "history": ("keep_last", "keep_all", "system_default"),
     "reliability": ("reliable", "best_effort", "best_available", "system_default"),
@@ -34,7 +33,7 @@ def declare(node: Node, group: type[_Group]) -> _Group:
             values contradict each other.
     """
     overrides = {}
-    # No public attribute holds the overrides that nobody declares, and rclpy ignores those.
+    # rclpy ignores undeclared overrides, and no public attribute holds them.
     for name, override in node._parameter_overrides.items():
         if name.startswith("qos_overrides."):
             _check_qos(name, override.value)
@@ -59,7 +58,7 @@ def _check_qos(name: str, value: Any) -> None:
     elif policy in _QOS_VALUES:
         right, allowed = value in _QOS_VALUES[policy], "one of " + ", ".join(_QOS_VALUES[policy])
     else:
-        right, allowed = False, "left out: its policy is none of depth, " + ", ".join(_QOS_VALUES)
+        right, allowed = False, "removed: policies are depth, " + ", ".join(_QOS_VALUES)
     if not right:
         raise ParameterError(f"parameter '{name}' must be {allowed}, got {value!r}")
 
@@ -72,7 +71,7 @@ def descriptor(declaration: Declaration) -> ParameterDescriptor:
         additional_constraints=declaration.range_text,
         read_only=True,
     )
-    # ROS ranges are closed on both sides; any other range is in the text, and `build` holds it.
+    # ROS ranges are closed on both sides; any other range is in the text, and `build` checks it.
     if declaration.low is not None and declaration.high is not None:
         if declaration.type_name == "float":
             result.floating_point_range = [

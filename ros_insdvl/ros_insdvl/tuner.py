@@ -9,7 +9,6 @@ import sys
 from collections import Counter
 from typing import Any
 
-import numpy as np
 from sensor_msgs.msg import Imu
 from std_srvs.srv import SetBool
 
@@ -19,8 +18,12 @@ from insdvl.tuner.models import ModelError
 from insdvl.tuner.parameters import TunerParameters
 from insdvl.tuner.republish import set_learned, tune
 from insdvl.tuner.tuner import TunedNoise, Tuner
-from ros_insdvl.diagnostics import ERROR, OF_TIME, RECENT, WARN, Status, View
-from ros_insdvl.node import InsdvlNode, latched_qos, run
+from ros_insdvl.execution import run_node
+from ros_insdvl.node import InsdvlNode
+from ros_insdvl.qos import latched_qos
+from ros_insdvl.status.diagnostics import Status, View
+from ros_insdvl.status.tuner.imu import imu_status
+from ros_insdvl.status.tuner.process_noise import Learned
 
 
 class TunerNode(InsdvlNode[TunerParameters]):
@@ -43,6 +46,7 @@ class TunerNode(InsdvlNode[TunerParameters]):
             self.destroy_node()
             raise
         self._latest: TunedNoise | None = None
+        self._learned = Learned(self._tuner, self.parameters.rate, self.parameters.max_gap)
         self._process_noise = self.advertise(Imu, PROCESS_NOISE, latched_qos())
         self.create_service(SetBool, "~/enable", self._enable)
         self.listen(Imu, IMU, self._on_imu)
@@ -73,94 +77,16 @@ class TunerNode(InsdvlNode[TunerParameters]):
 
     def causes(self, view: View) -> list[Status]:
         """The IMU and its stamps, and what is learned from it."""
-        return [self._imu(view), self._learned(view)]
-
-    def _imu(self, view: View) -> Status:
-        status = Status("imu", f"{view.rates[IMU]:.1f} Hz")
-        view.quiet(status, IMU, ERROR, "look at the IMU's driver, its topic and the connections")
-        view.refused(status, [IMU])
-        view.refused(status, [IMU], OF_TIME)
-        for name, remedy in (
-            ("duplicates", "two senders on one topic, or a network that doubles"),
-            ("out_of_order", "the network changes the order; such samples are left out"),
-            (
-                "gaps",
-                f"samples are lost; a window that spans more than {self.parameters.max_gap:g} "
-                "s is not used",
-            ),
-            (
-                "restarts",
-                f"stamps went back by more than {self.parameters.max_gap:g} s, which begins the "
-                "window again: the network changes the order by more than max_gap, or a clock was "
-                "set",
-            ),
-        ):
-            status.values[name] = view.total.get(name, 0)
-            if count := view.recent[name]:
-                status.complain(WARN, name, f"{count} {name} in the last {RECENT:.0f} s: {remedy}")
-        view.show(status, IMU)
-        return status
-
-    def _learned(self, view: View) -> Status:
-        """Model, switch, and the six sigmas of Q."""
-        model = self._tuner.model.card["name"]
-        status = Status("process noise", f"learned by the model {model}")
-        status.values["model"] = model
-        status.values["enabled"] = self._tuner.enabled
-        if not self._tuner.enabled:
-            status.complain(
-                WARN, "disabled", "disabled, process_noise is not published: call ~/enable"
-            )
-        elif self._learns_nothing(view):
-            status.complain(
-                WARN,
-                "nothing",
-                f"no window was usable in the last {RECENT:.0f} s: it takes "
-                f"{self._tuner.model.window} samples in a row without a gap"
-                + self._what_emptied(view),
-            )
-        if count := view.recent["too_large"]:
-            status.complain(
-                WARN,
-                "too large",
-                f"{count} windows in the last {RECENT:.0f} s had values too large to learn from: "
-                "look at the IMU",
-            )
-        if self._latest is not None:
-            sigmas = np.sqrt(self._latest.variances)
-            for axis, f, w in zip("xyz", sigmas[:3], sigmas[3:], strict=True):
-                status.values[f"Q sigma f_{axis} [m/s^2]"] = f"{f:.6g}"
-                status.values[f"Q sigma w_{axis} [rad/s]"] = f"{w:.6g}"
-        for name in ("samples", "windows", "too_large"):
-            status.values[name] = view.total.get(name, 0)
-        view.show(status, "process_noise")
-        return status
-
-    def _what_emptied(self, view: View) -> str:
-        """What kept the window from filling, and what to do; empty where nothing did."""
-        gaps, restarts = view.recent["gaps"], view.recent["restarts"]
-        if not gaps + restarts:
-            return ""
-        return (
-            f", and {gaps} gaps and {restarts} restarts emptied it: mend the network, run the "
-            "tuner beside the IMU's driver, or raise max_gap "
-            f"({self.parameters.max_gap:g} s) above the delays"
-        )
-
-    def _learns_nothing(self, view: View) -> bool:
-        """Whether samples came all the time, for long enough, and no estimate."""
-        samples = view.recent[f"received {IMU}"]
-        return (
-            0 < samples < view.total[f"received {IMU}"]
-            and not view.recent["sent process_noise"]
-            and RECENT * self.parameters.rate >= 2.0
-        )
+        return [
+            imu_status(view, self.parameters.max_gap),
+            self._learned.status(view, self._latest),
+        ]
 
 
 def main() -> int:
     """Run the node until it is interrupted."""
     try:
-        return run(TunerNode)
+        return run_node(TunerNode)
     except ModelError:  # the node has logged it
         return 1
 

@@ -20,7 +20,8 @@ from rosgraph_msgs.msg import Clock
 from insdvl.messages.topics import IMU
 from insdvl.navigation.events import NS
 from ros_insdvl.conversions import time_of
-from ros_insdvl.node import InsdvlNode, Output
+from ros_insdvl.endpoints import Output
+from ros_insdvl.node import InsdvlNode
 
 _Group = TypeVar("_Group")
 

@@ -16,8 +16,10 @@ from insdvl.messages.topics import BY_NAME, PROCESS_NOISE
 from insdvl.parameters.declaration import ParameterError
 from insdvl.studies.faults.link import RelayParameters, links
 from ros_insdvl.conversions import message_class
-from ros_insdvl.diagnostics import Status, View
-from ros_insdvl.node import InsdvlNode, latched_qos, run
+from ros_insdvl.execution import run_node
+from ros_insdvl.node import InsdvlNode
+from ros_insdvl.qos import latched_qos
+from ros_insdvl.status.diagnostics import Status, View
 
 
 class Relay(InsdvlNode[RelayParameters]):
@@ -133,7 +135,7 @@ def _check(topics: tuple[str, ...]) -> None:
 
 def main() -> None:
     """Run the node until it is interrupted."""
-    sys.exit(run(Relay))
+    sys.exit(run_node(Relay))
 
 
 if __name__ == "__main__":

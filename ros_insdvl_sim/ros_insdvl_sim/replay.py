@@ -12,8 +12,9 @@ from insdvl.recordings.base import BagError, stamp_ns
 from insdvl.recordings.parameters import ReplayParameters
 from insdvl.recordings.played import played
 from ros_insdvl.conversions import message_class
-from ros_insdvl.diagnostics import Status, View
-from ros_insdvl.node import latched_qos, run
+from ros_insdvl.execution import run_node
+from ros_insdvl.qos import latched_qos
+from ros_insdvl.status.diagnostics import Status, View
 from ros_insdvl_sim.player import Player
 
 
@@ -69,7 +70,7 @@ class Replay(Player[ReplayParameters]):
 
 def main() -> None:
     """Run the node until the recording is played and all of it has arrived."""
-    sys.exit(run(Replay))
+    sys.exit(run_node(Replay))
 
 
 if __name__ == "__main__":

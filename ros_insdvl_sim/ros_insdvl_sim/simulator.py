@@ -13,8 +13,8 @@ from insdvl.simulation.messages import PUBLISHED, StreamFormat, mission_messages
 from insdvl.simulation.mission import mission_of
 from insdvl.simulation.parameters import SimulatorParameters
 from ros_insdvl.conversions import message_class
-from ros_insdvl.diagnostics import Status, View
-from ros_insdvl.node import run
+from ros_insdvl.execution import run_node
+from ros_insdvl.status.diagnostics import Status, View
 from ros_insdvl_sim.player import Player
 
 
@@ -85,7 +85,7 @@ class Simulator(Player[SimulatorParameters]):
 
 def main() -> None:
     """Run the node until the mission is over and all of it has arrived."""
-    sys.exit(run(Simulator))
+    sys.exit(run_node(Simulator))
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from insdvl.messages.inputs import Inputs
+from insdvl.messages.refusals import Refused
 from insdvl.navigation.events import NS, Imu, ProcessNoise
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
@@ -18,18 +19,10 @@ from insdvl.timeline.fold import Fold
 from insdvl.timeline.jumps import TimeJump
 from insdvl.timeline.output import AppliedUpdate
 from insdvl.watch.sample_count import ExpectedSamples
-from ros_insdvl.diagnostics import (
-    ERROR,
-    OF_FRAMES,
-    OF_TIME,
-    OK,
-    REMEDIES,
-    WARN,
-    Recent,
-    Status,
-    View,
-)
-from ros_insdvl.filter_status import FilterWatch
+from ros_insdvl.status.diagnostics import ERROR, OK, WARN, Status, Tally, View
+from ros_insdvl.status.filter.output import Output
+from ros_insdvl.status.filter.watch import FilterWatch
+from ros_insdvl.status.reasons import OF_FRAMES, OF_TIME, REMEDIES
 
 START_NS = 1_700_000_000 * NS
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "diagnostics.md"
@@ -43,9 +36,11 @@ class Filter:
         self.fold = Fold(self.parameters)
         self.inputs = Inputs(self.parameters)
         self.watch = FilterWatch(self.parameters, self.inputs, self.fold)
-        self.counts = Counter({f"received {topic}": 0 for topic in self.inputs.topics})
+        self.received = dict.fromkeys(self.inputs.topics, 0)
+        self.sent = Counter({"odometry/filtered": 0, "imu/bias": 0, "dvl/innovation": 0})
+        self.rejected: Counter[Refused] = Counter()
         self.silence = dict.fromkeys(self.inputs.topics, inf)
-        self.recent = Recent()
+        self.view = View(0.0)
         self.now = 0.0
         self.pings = 0
         self.noise = 1e-7
@@ -56,7 +51,7 @@ class Filter:
         for k in range(first, last):
             if k in lost:
                 continue
-            self.counts["received imu/data_raw"] += 1
+            self.received["imu/data_raw"] += 1
             stamp = START_NS + k * step_ns
             noise = np.full(3, k % 2 * self.noise)
             sample = Imu(stamp, np.array([0.0, 0.0, -9.8]) + noise, noise)
@@ -69,21 +64,24 @@ class Filter:
             elif isinstance(output, AppliedUpdate):
                 self.watch.updated(output)
                 if not output.report.accepted:
-                    self.counts[f"rejected dvl: {output.report.reason}"] += 1
+                    self.rejected[Refused("dvl", output.report.reason)] += 1
             else:
                 self.watch.published(output, output.stamp_ns + 2_000_000)
-                self.counts["sent odometry/filtered"] += 1
+                self.sent["odometry/filtered"] += 1
         self.silence["imu/data_raw"] = 0.0
 
     def look(self, seconds: float = 1.0) -> dict[str, Status]:
         """The statuses some seconds later."""
         self.now += seconds
-        self.recent.look(self.now, self.counts + self.watch.counts)
-        rates = dict.fromkeys(
-            ("odometry/filtered", "imu/bias", *self.silence, "dvl/innovation"), 0.0
+        self.view.look(
+            self.now,
+            received=self.received,
+            sent=self.sent,
+            rejected=self.rejected,
+            events=self.watch.counts,
+            heard={topic: self.now - silence for topic, silence in self.silence.items()},
         )
-        view = View(self.counts, self.recent.growth, rates, self.silence)
-        return {status.cause: status for status in self.watch.causes(view)}
+        return {status.cause: status for status in self.watch.causes(self.view)}
 
     def dvl(self, stamp_ns: int, speed: float = 0.0) -> None:
         """A measurement, of which no two are the same."""
@@ -96,11 +94,12 @@ def wrong(statuses: dict[str, Status]) -> dict[str, bytes]:
 
 
 def test_growth_is_over_the_last_seconds_and_survives_a_reset() -> None:
-    recent = Recent(seconds=3.0)
+    tally: Tally[str] = Tally(seconds=3.0)
     grown = []
     for now, count in enumerate([5, 5, 7, 7, 7, 0, 1]):
-        recent.look(float(now), {"gaps": count})
-        grown.append((recent.step["gaps"], recent.growth["gaps"]))
+        tally.look(float(now), {"gaps": count})
+        assert tally.total["gaps"] == count
+        grown.append((tally.step["gaps"], tally.recent["gaps"]))
     assert grown == [(5, 5), (0, 5), (2, 7), (0, 2), (0, 2), (0, 0), (1, 1)]
 
 
@@ -152,10 +151,10 @@ def test_a_refused_message_is_told_once_with_what_to_do(
     f.samples(1, 21)
     f.fold.add(ProcessNoise(START_NS + NS // 5, np.eye(3), np.eye(3)))
     assert wrong(f.look()) == {}
-    f.counts[f"rejected {topic}: {reason}"] += 3
+    f.rejected[Refused(topic, reason)] += 3
     statuses = f.look()
     assert wrong(statuses) == {cause: WARN}
-    assert f"refused of {topic} in the last 10 s: 3 {reason}" in statuses[cause].message
+    assert f"refused on {topic} in the last 10 s: 3 {reason}" in statuses[cause].message
     assert REMEDIES[reason] in statuses[cause].message
     f.samples(21, 22)
     statuses = f.look(10.0)
@@ -289,7 +288,7 @@ def test_an_imu_of_another_rate_is_told_as_such_and_not_as_lost_samples(step_ns:
     f = Filter()
     f.samples(1, 601, step_ns)
     (complaint,) = f.look()["imu"].complaints
-    assert complaint.text.startswith(f"imu.rate is 100 Hz, the stamps say {NS / step_ns:.1f} Hz")
+    assert complaint.text.startswith(f"imu.rate is 100 Hz, the stamps have {NS / step_ns:.1f} Hz")
 
 
 def test_channels_that_are_not_believed_are_told_until_they_move_again() -> None:
@@ -298,7 +297,7 @@ def test_channels_that_are_not_believed_are_told_until_they_move_again() -> None
     f.samples(1, 121)
     statuses = f.look()
     assert wrong(statuses) == {"imu": WARN}
-    assert "samples had a frozen channel" in statuses["imu"].message
+    assert "had a frozen channel, which is not used" in statuses["imu"].message
     f.noise = 1e-7
     f.samples(121, 130)
     assert wrong(f.look(10.0)) == {}
@@ -309,7 +308,7 @@ def test_an_output_that_stops_is_an_error() -> None:
     f.samples(1, 21)
     f.look()
     for _ in range(10):
-        f.counts["received imu/data_raw"] += 100  # that lead to nothing
+        f.received["imu/data_raw"] += 100  # that lead to nothing
         statuses = f.look()
     assert wrong(statuses) == {"output": ERROR}
     f.samples(21, 22)
@@ -322,10 +321,11 @@ def test_late_output_is_told_where_the_clocks_agree() -> None:
         f.samples(1, 21)
         f.look()
         f.samples(21, 22)
-        f.watch._latencies_ns.clear()
-        output = f.watch._output
-        assert output is not None
-        f.watch.published(output, output.stamp_ns + delay_ns)
+        (output,) = (cause for cause in f.watch._causes if isinstance(cause, Output))
+        output._latencies_ns.clear()
+        last = f.watch._published.last
+        assert last is not None
+        f.watch.published(last, last.stamp_ns + delay_ns)
         assert wrong(f.look()) == expected
 
 

@@ -4,26 +4,31 @@ import errno
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import TwistStamped, TwistWithCovarianceStamped
+from graphs import BEST_EFFORT, RELIABLE, Graph, reliable
 from nav_msgs.msg import Odometry
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from ros_messages import (
+    STEP_NS,
+    dvl_message,
+    imu_message,
+    odometry_message,
+    sample_at_rest,
+    sensor_messages,
+    stamp_of,
+)
 from sensor_msgs.msg import Imu, NavSatFix, NavSatStatus
 from std_srvs.srv import Trigger
 
 from insdvl import files
 from insdvl.messages import convert as messages
-from insdvl.messages.make import flat_covariance, set_quaternion, set_vector
+from insdvl.messages.make import flat_covariance
 from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.frames import ENU
 from insdvl.navigation.odometry import odometry
@@ -35,12 +40,10 @@ from insdvl.simulation.trajectories import trajectory_named
 from insdvl.timeline.recorded import fold_arrays
 from ros_insdvl.conversions import time_of
 from ros_insdvl.filter import FilterNode
+from ros_insdvl.status.heard import ERROR, OK, WARN, HeardStatus
 
+NODE = "/auv/insdvl_filter"
 START_NS = 1_700_000_000_250_000_000
-STEP_NS = 10_000_000
-RELIABLE = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
-BEST_EFFORT = QoSProfile(depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT)
-DEADLINE_NS = 120 * NS  # far beyond what any of these waits takes
 Q_F, Q_W = (0.04, 0.01, 0.02), (0.002, 0.004, 0.001)
 
 INPUTS = {
@@ -67,16 +70,6 @@ def mission(duration: float = 8.0) -> Mission:
     )
 
 
-def imu_message(stamp_ns: int, f_b: Any = (0.0, 0.0, 9.8), w_ib_b: Any = (0.0, 0.0, 0.0)) -> Imu:
-    """An Imu in forward-left-up."""
-    message = Imu()
-    message.header.stamp = time_of(stamp_ns)
-    message.header.frame_id = "imu_link"
-    set_vector(message.linear_acceleration, f_b)
-    set_vector(message.angular_velocity, w_ib_b)
-    return message
-
-
 def noise_message(stamp_ns: int, q_f: Any = Q_F, q_w: Any = Q_W) -> Imu:
     message = imu_message(stamp_ns)
     message.orientation_covariance[0] = -1.0
@@ -85,34 +78,9 @@ def noise_message(stamp_ns: int, q_f: Any = Q_F, q_w: Any = Q_W) -> Imu:
     return message
 
 
-def dvl_message(stamp_ns: int, v_d: Any = (0.0, 0.0, 0.0)) -> TwistStamped:
-    message = TwistStamped()
-    message.header.stamp = time_of(stamp_ns)
-    message.header.frame_id = "dvl_link"
-    set_vector(message.twist.linear, v_d)
-    return message
-
-
-def odometry_message(stamp_ns: int, position: Any = (0.0, 0.0, 0.0)) -> Odometry:
-    """At a position, level, heading west, 1 m/s forward."""
-    message = Odometry(child_frame_id="base_link")
-    message.header.stamp = time_of(stamp_ns)
-    message.header.frame_id = "odom"
-    set_vector(message.pose.pose.position, position)
-    set_quaternion(message.pose.pose.orientation, (0.0, 0.0, 1.0, 0.0))
-    set_vector(message.twist.twist.linear, (1.0, 0.0, 0.0))
-    return message
-
-
 def mission_messages(m: Mission) -> list[tuple[str, Any]]:
     """Topics and messages of a mission, by stamp, with a process noise every 1.7 s."""
-    items: list[tuple[int, str, Any]] = []
-    rows = (m.stamps_ns.tolist(), m.f_b @ ENU.body, m.w_ib_b @ ENU.body)
-    for stamp, f, w in zip(*rows, strict=True):
-        items.append((stamp, "imu/data_raw", imu_message(stamp, f, w)))
-    for stamp, v in zip(m.dvl_stamps_ns.tolist(), m.v_d @ ENU.body, strict=True):
-        # Between two samples, so that the sample has to be cut.
-        items.append((stamp - 3_000_000, "dvl/velocity", dvl_message(stamp - 3_000_000, v)))
+    items = sensor_messages(m, -3_000_000)  # between two samples, so that the sample has to be cut
     for k, stamp in enumerate(range(START_NS + 2 * NS, int(m.stamps_ns[-1]), 17 * NS // 10)):
         message = noise_message(stamp, np.array(Q_F) / (k + 1))
         items.append((stamp, "process_noise", message))
@@ -137,34 +105,14 @@ def offline(parameters: dict[str, Any], sent: list[tuple[str, Any]]) -> list[Any
     return [odometry(result.filter, result.states, k) for k in range(len(samples))]
 
 
-class Graph:
-    """The filter in the namespace /auv, and a node that talks to it; one executor turns both."""
+class FilterGraph(Graph):
+    """The filter in the namespace /auv, and a peer that talks to it."""
 
     def __init__(self, **parameters: Any) -> None:
-        self.context = Context()
-        self.context.init()
-        overrides = {
-            f"qos_overrides./auv/{topic}.subscription.reliability": "reliable"
-            for topic in ("imu/data_raw", "dvl/velocity", "dvl/velocity_cov", "start", "gps/fix")
-        }
-        self.filter = FilterNode(
-            namespace="/auv",
-            context=self.context,
-            parameter_overrides=[
-                Parameter(name, value=value) for name, value in {**overrides, **parameters}.items()
-            ],
-        )
-        self.peer = Node("peer", namespace="/auv", context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.filter)
-        self.executor.add_node(self.peer)
-        self.received: dict[str, list[Any]] = {topic: [] for topic in OUTPUTS}
-        for topic, kind in OUTPUTS.items():
-            self.peer.create_subscription(kind, topic, self.received[topic].append, RELIABLE)
-        self.statuses: list[DiagnosticStatus] = []
-        self.peer.create_subscription(
-            DiagnosticArray, "/diagnostics", lambda m: self.statuses.extend(m.status), RELIABLE
-        )
+        super().__init__("/auv")
+        topics = ("imu/data_raw", "dvl/velocity", "dvl/velocity_cov", "start", "gps/fix")
+        self.filter = self.make(FilterNode, **{**reliable("/auv", *topics), **parameters})
+        self.received = {topic: self.keep(kind, topic) for topic, kind in OUTPUTS.items()}
         self.publishers = {
             topic: self.peer.create_publisher(INPUTS[topic], topic, RELIABLE)
             for topic in self.filter.received
@@ -175,13 +123,6 @@ class Graph:
                 and all(output.listeners for output in self.filter.outputs.values())
             )
         )
-
-    def until(self, condition: Callable[[], Any]) -> None:
-        clock = self.peer.get_clock()
-        start = clock.now()
-        while not condition():
-            assert (clock.now() - start).nanoseconds < DEADLINE_NS
-            self.executor.spin_once(timeout_sec=0.1)
 
     def send(self, *items: tuple[str, Any]) -> None:
         """Publish one by one, each when the last has been handled: this order and no other."""
@@ -196,41 +137,19 @@ class Graph:
             )
         )
 
-    def status(self) -> tuple[dict[str, DiagnosticStatus], dict[str, str]]:
-        """The next statuses by cause, and the values of all of them."""
-        self.statuses.clear()
-        self.until(lambda: self.statuses)
-        name = "/auv/insdvl_filter: "
-        causes = {s.name.removeprefix(name): s for s in self.statuses if s.name.startswith(name)}
-        return causes, {item.key: item.value for s in causes.values() for item in s.values}
+    def statuses(self) -> tuple[dict[str, HeardStatus], dict[str, str]]:
+        """The statuses by cause, as of now, and the values of all of them."""
+        self.until_reported(NODE, times=2)  # the first may have been under way
+        report = self.diagnostics.report(NODE)
+        return report.statuses, report.values
 
     def odometry(self) -> list[Odometry]:
         return self.received["odometry/filtered"]
 
-    def close(self) -> None:
-        if not self.context.ok():
-            return
-        self.executor.shutdown()
-        self.peer.destroy_node()
-        self.filter.destroy_node()
-        self.context.shutdown()
-
 
 @pytest.fixture
-def graph() -> Iterator[Callable[..., Graph]]:
-    made: list[Graph] = []
-
-    def make(**parameters: Any) -> Graph:
-        made.append(Graph(**parameters))
-        return made[-1]
-
-    yield make
-    for each in made:
-        each.close()
-
-
-def stamp_of(message: Any) -> int:
-    return messages.stamp_ns(message.header)
+def graph(managed: Any) -> Callable[..., FilterGraph]:
+    return lambda **parameters: managed(FilterGraph(**parameters))
 
 
 def numbers(message: Odometry) -> np.ndarray:
@@ -259,12 +178,8 @@ def expected_numbers(output: Any) -> np.ndarray:
 
 
 def imu_run(first: int, last: int) -> list[tuple[str, Any]]:
-    """Samples of a vehicle at rest, by number; no channel is frozen."""
-    force, noise = np.array([0.0, 0.0, 9.8]), np.full(3, 1e-7)
-    return [
-        ("imu/data_raw", imu_message(START_NS + k * STEP_NS, force + k % 2 * noise, k % 2 * noise))
-        for k in range(first, last)
-    ]
+    """Samples of a vehicle at rest, by number."""
+    return [("imu/data_raw", sample_at_rest(START_NS, k)) for k in range(first, last)]
 
 
 def test_one_odometry_per_sample_with_frames_and_stamps(graph: Any) -> None:
@@ -370,25 +285,25 @@ def test_unknown_noise_is_never_zero_noise(graph: Any) -> None:
 def test_dead_tuner_falls_back_to_nominal_and_comes_back(graph: Any) -> None:
     g = graph(**{"process_noise.source": "external", "q_timeout": 0.5})
     g.send(*imu_run(1, 3))
-    status, values = g.status()
+    status, values = g.statuses()
     assert "Q is nominal" in status["process noise"].message
     assert values["Q age [s]"] == "nominal"
     assert float(values["Q sigma f_x [m/s^2]"]) == pytest.approx(0.1)
     g.send(("process_noise", noise_message(START_NS + 2 * STEP_NS)), *imu_run(3, 20))
-    status, values = g.status()
-    assert status["process noise"].level == DiagnosticStatus.OK
+    status, values = g.statuses()
+    assert status["process noise"].level == OK
     assert float(values["Q sigma f_x [m/s^2]"]) == pytest.approx(0.2)
     assert float(values["Q age [s]"]) == pytest.approx(0.17)
     g.send(*imu_run(20, 70))
-    status, values = g.status()
-    assert status["process noise"].level == DiagnosticStatus.WARN
+    status, values = g.statuses()
+    assert status["process noise"].level == WARN
     assert "nominal" in status["process noise"].message
     assert values["q_timeouts"] == "1"
     assert float(values["Q sigma f_x [m/s^2]"]) == pytest.approx(0.1)
     g.send(("process_noise", noise_message(START_NS + 69 * STEP_NS)), *imu_run(70, 72))
-    status, values = g.status()
+    status, values = g.statuses()
     assert float(values["Q sigma f_x [m/s^2]"]) == pytest.approx(0.2)
-    assert status["process noise"].level == DiagnosticStatus.OK
+    assert status["process noise"].level == OK
 
 
 def test_noise_from_the_imu_messages_themselves(graph: Any) -> None:
@@ -399,7 +314,7 @@ def test_noise_from_the_imu_messages_themselves(graph: Any) -> None:
         message.angular_velocity_covariance = flat_covariance(np.diag(Q_W), 3)
         sent.append(("imu/data_raw", message))
     g.send(*sent)
-    _, values = g.status()
+    _, values = g.statuses()
     sigmas = [float(values[f"Q sigma f_{axis} [m/s^2]"]) for axis in "xyz"]
     np.testing.assert_allclose(sigmas, np.sqrt(Q_F), rtol=1e-5)
 
@@ -408,7 +323,7 @@ def test_true_noise_comes_from_its_own_topic(graph: Any) -> None:
     g = graph(**{"process_noise.source": "oracle"})
     q = noise_message(START_NS + STEP_NS)
     g.send(*imu_run(1, 3), ("ground_truth/process_noise", q), *imu_run(3, 5))
-    _, values = g.status()
+    _, values = g.statuses()
     assert float(values["Q sigma w_y [rad/s]"]) == pytest.approx(np.sqrt(Q_W[1]), rel=1e-5)
 
 
@@ -444,7 +359,7 @@ def test_bad_messages_are_counted_by_reason_and_change_nothing(graph: Any) -> No
     before = len(g.odometry())
     g.send(*bad)
     assert len(g.odometry()) == before == 300
-    _, values = g.status()
+    _, values = g.statuses()
     rejected = {key: int(n) for key, n in values.items() if key.startswith("rejected ")}
     assert rejected == {
         "rejected imu/data_raw: not_finite": 2,
@@ -468,7 +383,7 @@ def test_gated_measurement_is_counted_and_published(graph: Any) -> None:
     g = graph()
     g.send(*imu_run(1, 6), ("dvl/velocity", dvl_message(START_NS + 5 * STEP_NS, (9.0, 0.0, 0.0))))
     assert g.received["dvl/innovation"][0].twist.twist.linear.x == pytest.approx(9.0, abs=0.01)
-    _, values = g.status()
+    _, values = g.statuses()
     assert values["rejected dvl: gate"] == "1"
     assert values["DVL updates rejected"] == "1"
     assert not any(key.startswith("NIS") for key in values)  # that is of those that were used
@@ -477,17 +392,17 @@ def test_gated_measurement_is_counted_and_published(graph: Any) -> None:
 def test_gaps_and_rate_are_told(graph: Any) -> None:
     g = graph(**{"imu.rate": 50.0})
     g.send(*imu_run(1, 21), *imu_run(60, 80))
-    status, values = g.status()
+    status, values = g.statuses()
     assert values["gaps"] == "1"
     assert float(values["IMU rate of the stamps [Hz]"]) == pytest.approx(100.0)
-    assert "imu.rate is 50 Hz, the stamps say 100.0 Hz" in status["imu"].message
+    assert "imu.rate is 50 Hz, the stamps have 100.0 Hz" in status["imu"].message
     assert "1 gaps of more than 0.1 s" in status["imu"].message
-    assert status["imu"].level == DiagnosticStatus.WARN
+    assert status["imu"].level == WARN
 
 
 def test_statuses_are_named_by_node_and_cause(graph: Any) -> None:
     g = graph()
-    causes, values = g.status()
+    causes, values = g.statuses()
     assert list(causes) == [
         "initialisation",
         "imu",
@@ -500,12 +415,12 @@ def test_statuses_are_named_by_node_and_cause(graph: Any) -> None:
         "connections",
         "unexpected errors",
     ]
-    assert causes["imu"].level == DiagnosticStatus.ERROR
+    assert causes["imu"].level == ERROR
     assert "no imu/data_raw received" in causes["imu"].message
-    assert causes["initialisation"].level == DiagnosticStatus.WARN
+    assert causes["initialisation"].level == WARN
     g.send(*imu_run(1, 21))
-    causes, values = g.status()
-    assert {c: s.message for c, s in causes.items() if s.level != DiagnosticStatus.OK} == {}
+    causes, values = g.statuses()
+    assert {c: s.message for c, s in causes.items() if s.level != OK} == {}
     assert values["received imu/data_raw"] == values["sent odometry/filtered"] == "20"
     assert not [key for key in values if key.startswith("latency")]  # stamps of another year
 
@@ -526,42 +441,45 @@ def signatures():
     kernels = {k for m in modules for k in vars(m).values() if hasattr(k, "signatures")}
     return {(k.py_func.__qualname__, str(s)) for k in kernels for s in k.signatures}
 
-parameters = build(FilterParameters, {VALUES})
-compile_kernels(parameters)
-compiled = signatures()
-assert compiled
-fold, check, rng = Fold(parameters), FrameCheck(parameters), np.random.default_rng(1)
-events = [Initial(NS + 1, np.eye(3), np.zeros(3), np.zeros(3), "body")]
-for k in range(100, 3000):
-    noise = 0.1 * rng.standard_normal(6)
-    if 500 < k < 800:
-        noise[3:] = 0.0
-    events.append(Imu(k * NS // 100, np.array([0, 0, -9.8]) + noise[:3], noise[3:]))
-    if k % 10 == 0:
-        stamp_ns = k * NS // 100 - 3_000_000
-        events.append(ProcessNoise(stamp_ns, np.eye(3), np.eye(3)))
-        v_d = np.array([0.5 * (1000 < k < 1200), 0.0, 0.01 * noise[0]])
-        events.append(Dvl(stamp_ns, v_d, np.eye(3) * 0.01 if k % 20 else None))
-for event in sorted(events, key=lambda e: (e.stamp_ns, e.kind)):
-    assert fold.add(event) is None
-    check.add(event)
-    fold.take()
-check.findings()
-assert fold.counts["frozen"] > 100
-assert fold.latest is not None
-print(sorted({name for name, _ in signatures() - compiled}))
+def late_compilations(values):
+    parameters = build(FilterParameters, values)
+    compile_kernels(parameters)
+    compiled = signatures()
+    assert compiled
+    fold, check, rng = Fold(parameters), FrameCheck(parameters), np.random.default_rng(1)
+    events = [Initial(NS + 1, np.eye(3), np.zeros(3), np.zeros(3), "body")]
+    for k in range(100, 3000):
+        noise = 0.1 * rng.standard_normal(6)
+        if 500 < k < 800:
+            noise[3:] = 0.0
+        events.append(Imu(k * NS // 100, np.array([0, 0, -9.8]) + noise[:3], noise[3:]))
+        if k % 10 == 0:
+            stamp_ns = k * NS // 100 - 3_000_000
+            events.append(ProcessNoise(stamp_ns, np.eye(3), np.eye(3)))
+            v_d = np.array([0.5 * (1000 < k < 1200), 0.0, 0.01 * noise[0]])
+            events.append(Dvl(stamp_ns, v_d, np.eye(3) * 0.01 if k % 20 else None))
+    for event in sorted(events, key=lambda e: (e.stamp_ns, e.kind)):
+        assert fold.add(event) is None
+        check.add(event)
+        fold.take()
+    check.findings()
+    assert fold.counts["frozen"] > 100
+    assert fold.latest is not None
+    return sorted({name for name, _ in signatures() - compiled})
+
+# What the first filter compiles too late, and the second needs as well, is found with the first.
+for values in ({}, {"dvl.bias_model": "gauss_markov"}):
+    print(values, late_compilations(values))
 """
 
 
-@pytest.mark.parametrize("values", [{}, {"dvl.bias_model": "gauss_markov"}])
-def test_nothing_is_compiled_while_it_navigates(values: dict[str, Any]) -> None:
+def test_nothing_is_compiled_while_it_navigates() -> None:
     """What takes a second would be too late for a vehicle under way."""
-    code = COMPILED.replace("{VALUES}", repr(values))
     child = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+        [sys.executable, "-c", COMPILED], capture_output=True, text=True, check=False
     )
     assert child.returncode == 0, child.stderr
-    assert child.stdout.strip() == "[]"
+    assert [line.split()[-1] for line in child.stdout.splitlines()] == ["[]", "[]"]
 
 
 def test_late_set_odometry_moves_the_filter(graph: Any) -> None:
@@ -578,7 +496,7 @@ def test_first_odometry_of_a_topic_initialises(graph: Any) -> None:
     g = graph(**{"initial.mode": "topic", "initial.topic": "start", "max_delay": 0.05})
     g.send(*imu_run(1, 4))
     assert g.odometry() == []
-    status, _ = g.status()
+    status, _ = g.statuses()
     assert "not initialised, waits for a message on start" in status["initialisation"].message
     g.send(("start", odometry_message(START_NS + 3 * STEP_NS, (7.0, 8.0, 9.0))))
     g.send(*imu_run(4, 6))
@@ -607,13 +525,9 @@ def test_reset_starts_again(graph: Any) -> None:
     start = ("set_odometry", odometry_message(START_NS + STEP_NS))
     g.send(start, *imu_run(1, 4))
     assert len(g.odometry()) == 3
-    client = g.peer.create_client(Trigger, "insdvl_filter/reset")
-    g.until(client.service_is_ready)
 
     def reset() -> None:
-        future = client.call_async(Trigger.Request())
-        g.until(future.done)
-        assert future.result().success
+        assert g.call(Trigger, "insdvl_filter/reset", Trigger.Request()).success
 
     reset()
     g.send(*imu_run(4, 6))
@@ -632,8 +546,8 @@ def test_it_goes_on_from_its_state_file_and_forgets_it_at_a_reset(
     first = graph(**parameters)
     first.send(*imu_run(1, 3), ("set_odometry", odometry_message(START_NS, (7.0, 8.0, 9.0))))
     first.send(*imu_run(3, 51))
-    causes, values = first.status()
-    assert causes["state file"].level == DiagnosticStatus.OK
+    causes, values = first.statuses()
+    assert causes["state file"].level == OK
     assert values["state file writes"] == "5"
     first.close()
     second = graph(**parameters)
@@ -644,11 +558,9 @@ def test_it_goes_on_from_its_state_file_and_forgets_it_at_a_reset(
     ]
     position = second.odometry()[-1].pose.pose.position
     assert [position.x, position.y, position.z] == pytest.approx([6.4, 8.0, 9.0], abs=0.1)
-    causes, _ = second.status()
-    assert not [c for c, s in causes.items() if s.level != DiagnosticStatus.OK]
-    client = second.peer.create_client(Trigger, "insdvl_filter/reset")
-    second.until(client.service_is_ready)
-    second.until(client.call_async(Trigger.Request()).done)
+    causes, _ = second.statuses()
+    assert not [c for c, s in causes.items() if s.level != OK]
+    second.call(Trigger, "insdvl_filter/reset", Trigger.Request())
     assert not path.exists()
 
 
@@ -693,14 +605,14 @@ def test_a_full_disk_does_not_stop_the_filter(
     with monkeypatch.context() as broken:
         broken.setattr(files, "write", full)
         g.send(*imu_run(1, 51))
-        causes, values = g.status()
-        assert causes["state file"].level == DiagnosticStatus.WARN
+        causes, values = g.statuses()
+        assert causes["state file"].level == WARN
         assert "No space left on device" in causes["state file"].message
         assert values["state file failures"] == "5"
         assert len(g.odometry()) == 50
     g.send(*imu_run(51, 71))
-    causes, values = g.status()
-    assert causes["state file"].level == DiagnosticStatus.OK
+    causes, values = g.statuses()
+    assert causes["state file"].level == OK
     assert len(g.odometry()) == 70
 
 

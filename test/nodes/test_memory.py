@@ -7,7 +7,8 @@ import sys
 from typing import Any
 
 from insdvl.navigation.parameters import FilterParameters
-from ros_insdvl.node import InsdvlNode, run
+from ros_insdvl.execution import run_node
+from ros_insdvl.node import InsdvlNode
 
 WARM, TURNS = 200, 2000
 
@@ -44,4 +45,4 @@ def test_turns_leave_nothing_behind() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(run(Ticking))
+    sys.exit(run_node(Ticking))

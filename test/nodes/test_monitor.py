@@ -1,26 +1,19 @@
 """The monitor: the numbers in its table, for a terminal and for a log."""
 
-from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from graphs import RELIABLE, Graph, reliable
 from nav_msgs.msg import Odometry
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu
 
 from insdvl.messages.make import flat_covariance, set_vector
 from insdvl.navigation.events import NS
 from ros_insdvl.conversions import time_of
-from ros_insdvl.monitor import Monitor, OdometrySeries
-
-RELIABLE = QoSProfile(depth=2000, reliability=ReliabilityPolicy.RELIABLE)
-DEADLINE_NS = 60 * NS
+from ros_insdvl.monitor import Monitor
+from ros_insdvl.odometry_series import OdometrySeries
 
 
 def odometry(stamp_ns: int, v_b: Any) -> Odometry:
@@ -33,57 +26,36 @@ def odometry(stamp_ns: int, v_b: Any) -> Odometry:
     return message
 
 
-class Graph:
-    """A monitor of /a and /b, and a node that talks to it; one executor turns both."""
+class MonitorGraph(Graph):
+    """A monitor of /a and /b, and a peer that talks to it."""
 
     def __init__(self) -> None:
-        self.context = Context()
-        self.context.init()
+        super().__init__()
         topics = ("ground_truth/odometry", "a/odometry/filtered", "b/odometry/filtered")
-        overrides = {f"qos_overrides./{t}.subscription.reliability": "reliable" for t in topics}
-        overrides |= {"filters": ["/a", "/b"], "period": 3600.0}
-        self.monitor = Monitor(
-            context=self.context,
-            parameter_overrides=[Parameter(name, value=v) for name, v in overrides.items()],
-        )
-        self.peer = Node("peer", context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.monitor)
-        self.executor.add_node(self.peer)
-
-    def until(self, condition: Callable[[], Any]) -> None:
-        start = self.peer.get_clock().now()
-        while not condition():
-            assert (self.peer.get_clock().now() - start).nanoseconds < DEADLINE_NS
-            self.executor.spin_once(timeout_sec=0.1)
+        parameters = {"filters": ["/a", "/b"], "period": 3600.0}
+        self.monitor = self.make(Monitor, **reliable("", *topics), **parameters)
 
     def send(self, topic: str, messages: list[Any]) -> None:
         publisher = self.peer.create_publisher(type(messages[0]), topic, RELIABLE)
-        self.until(lambda: publisher.get_subscription_count() == 1)
+        listeners = self.peer.count_subscribers(topic)
+        self.until(lambda: publisher.get_subscription_count() >= max(listeners, 1))
         target = self.monitor.received[topic] + len(messages)
         for message in messages:
             publisher.publish(message)
         self.until(lambda: self.monitor.received[topic] == target)
 
-    def close(self) -> None:
-        self.monitor.destroy_node()
-        self.peer.destroy_node()
-        self.context.shutdown()
-
 
 @pytest.fixture
-def graph() -> Iterator[Graph]:
-    made = Graph()
-    yield made
-    made.close()
+def graph(managed: Any) -> MonitorGraph:
+    return managed(MonitorGraph())
 
 
-def test_table_says_that_nothing_is_there(graph: Graph) -> None:
+def test_table_says_that_nothing_is_there(graph: MonitorGraph) -> None:
     assert "no odometry yet" in graph.monitor.line()
     assert len(graph.monitor.table()) == 8
 
 
-def test_error_is_against_the_truth_at_the_same_time(graph: Graph) -> None:
+def test_error_is_against_the_truth_at_the_same_time(graph: MonitorGraph) -> None:
     # The truth comes at 2 Hz and speeds up; the filter comes at 10 Hz, 0.3 and 0.4 m/s off.
     truth = [odometry(k * NS // 2, (0.5 * k, 0.0, 0.0)) for k in range(9)]
     wrong = [odometry(k * NS // 10, (0.1 * k + 0.3, 0.4, 0.0)) for k in range(41)]
@@ -99,7 +71,7 @@ def test_error_is_against_the_truth_at_the_same_time(graph: Graph) -> None:
     assert "/a velocity error 0.500 m/s" in graph.monitor.line()
 
 
-def test_window_leaves_out_what_is_old(graph: Graph) -> None:
+def test_window_leaves_out_what_is_old(graph: MonitorGraph) -> None:
     graph.send("ground_truth/odometry", [odometry(k * NS, (0.0, 0.0, 0.0)) for k in range(31)])
     late = [odometry(k * NS, (9.0 if k < 15 else 1.0, 0.0, 0.0)) for k in range(31)]
     graph.send("/a/odometry/filtered", late)
@@ -107,7 +79,7 @@ def test_window_leaves_out_what_is_old(graph: Graph) -> None:
     assert error[:, 0].tolist() == [1.0] * 11
 
 
-def test_diagnostics_and_noise_are_shown(graph: Graph) -> None:
+def test_diagnostics_and_noise_are_shown(graph: MonitorGraph) -> None:
     values = {
         "NIS, mean of 9": "2.950",
         "rate imu/data_raw [Hz]": "99.9",
@@ -123,7 +95,7 @@ def test_diagnostics_and_noise_are_shown(graph: Graph) -> None:
     imu = DiagnosticStatus(name="/b/insdvl_filter: imu", values=[KeyValue(key="gaps", value="2")])
     other = DiagnosticStatus(name="/c/insdvl_filter: imu", level=DiagnosticStatus.ERROR)
     graph.send("/diagnostics", [DiagnosticArray(status=[imu, dvl, other])])
-    assert graph.monitor.values["/b/insdvl_filter"] == {**values, "gaps": "2"}
+    assert graph.monitor.heard.report("/b/insdvl_filter").values == {**values, "gaps": "2"}
     learned = Imu()
     learned.linear_acceleration_covariance = flat_covariance(np.diag([0.01, 0.04, 0.09]), 3)
     graph.send("process_noise", [learned])

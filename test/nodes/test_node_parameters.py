@@ -1,5 +1,6 @@
 """Parameters of a node: declared with their meaning, and refused by name when they are wrong."""
 
+import json
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -12,7 +13,7 @@ from rclpy.parameter import Parameter
 
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import ParameterError, declarations
-from ros_insdvl.monitor import MonitorParameters
+from insdvl.watch.monitor_parameters import MonitorParameters
 from ros_insdvl.node import InsdvlNode
 
 WRONG = [
@@ -56,19 +57,43 @@ def make(context: Context, group: type[Any] = FilterParameters, **values: Any) -
     return InsdvlNode("insdvl_filter", group, context=context, parameter_overrides=overrides)
 
 
-@pytest.mark.parametrize(("arguments", "named"), WRONG, ids=[w[0][1].split(":=")[0] for w in WRONG])
-def test_wrong_parameter_ends_the_node_with_its_name(
-    arguments: list[str], named: list[str]
-) -> None:
+#: Starts the filter with one line of arguments after the other, in one process.
+STARTS = """
+import json
+import sys
+from ros_insdvl.execution import run_node
+from ros_insdvl.filter import FilterNode
+
+for line in sys.stdin:
+    sys.argv = ["filter", "--ros-args", *json.loads(line)]
+    print(run_node(FilterNode), flush=True)
+    print("END", file=sys.stderr, flush=True)
+"""
+
+
+@pytest.fixture(scope="module")
+def starts() -> list[tuple[int, list[str]]]:
+    """Exit code and errors of the filter with each of the wrong arguments."""
     result = subprocess.run(
-        [sys.executable, "-m", "ros_insdvl.filter", "--ros-args", *arguments],
+        [sys.executable, "-c", STARTS],
+        input="\n".join(json.dumps(arguments) for arguments, _ in WRONG),
         capture_output=True,
         text=True,
     )
-    assert result.returncode == 2
-    lines = [line for line in result.stderr.splitlines() if not line.startswith("[ERROR]")]
+    assert result.returncode == 0, result.stderr
+    errors = [text.splitlines() for text in result.stderr.split("END\n")]
+    return list(zip(map(int, result.stdout.split()), errors, strict=False))
+
+
+@pytest.mark.parametrize("k", range(len(WRONG)), ids=[w[0][1].split(":=")[0] for w in WRONG])
+def test_wrong_parameter_ends_the_node_with_its_name(
+    starts: list[tuple[int, list[str]]], k: int
+) -> None:
+    exit_code, errors = starts[k]
+    assert exit_code == 2
+    lines = [line for line in errors if not line.startswith("[ERROR]")]
     assert len(lines) == 1
-    for text in named:
+    for text in WRONG[k][1]:
         assert text in lines[0]
 
 

@@ -4,26 +4,26 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import graphs
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from graphs import Graph
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.srv import SetParameters
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Imu
 
 from insdvl.tuner.parameters import TunerParameters
-from ros_insdvl.diagnostics import ERROR, OK
-from ros_insdvl.node import InsdvlNode, run
+from ros_insdvl.execution import run_node
+from ros_insdvl.node import InsdvlNode
+from ros_insdvl.status.heard import ERROR, OK, HeardStatus
+from ros_insdvl.status.unexpected import UNEXPECTED
 
-DEADLINE = 60.0  # s; far beyond what any of these waits takes
+NODE = "/raising"
+DEADLINE = 300.0  # s; far beyond what a process takes to end
 QOS = QoSProfile(depth=100)
 
 
@@ -42,31 +42,17 @@ class Raising(InsdvlNode[TunerParameters]):
         self._echo.send(message)
 
 
-class Peer:
+class Peer(Graph):
     """A node that talks to a `Raising`."""
 
     def __init__(self) -> None:
-        self.context = Context()
-        self.context.init()
-        self.node = Node("peer", context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
-        self.echoed: list[Imu] = []
-        self.errors = DiagnosticStatus()
-        self.publisher = self.node.create_publisher(Imu, "in", QOS)
-        self.node.create_subscription(Imu, "echo", self.echoed.append, QOS)
-        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._keep, QOS)
+        super().__init__()
+        self.echoed = self.keep(Imu, "echo", QOS)
+        self.publisher = self.peer.create_publisher(Imu, "in", QOS)
 
-    def _keep(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            if status.name == "/raising: unexpected errors":
-                self.errors = status
-
-    def until(self, condition: Callable[[], Any]) -> None:
-        start = time.monotonic()
-        while not condition():
-            assert time.monotonic() - start < DEADLINE
-            self.executor.spin_once(timeout_sec=0.1)
+    @property
+    def errors(self) -> HeardStatus:
+        return self.status(NODE, UNEXPECTED)
 
     def send(self, *frames: str) -> None:
         for frame in frames:
@@ -74,42 +60,48 @@ class Peer:
             message.header.frame_id = frame
             self.publisher.publish(message)
 
-    def close(self) -> None:
-        self.executor.shutdown()
-        self.node.destroy_node()
-        self.context.shutdown()
-
 
 @pytest.fixture
-def peer() -> Iterator[Peer]:
-    made = Peer()
-    yield made
-    made.close()
+def peer(managed: Any) -> Peer:
+    return managed(Peer())
 
 
 def test_the_node_goes_on_counts_logs_and_tells(peer: Peer, tmp_path: Path) -> None:
     log = tmp_path / "log"
-    environment = {**os.environ, "ROS_LOG_DIR": "/proc/none/log"}  # none can be made there
+    environment = {
+        **os.environ,
+        "ROS_LOG_DIR": "/proc/none/log",  # none can be made there
+        "PYTHONPATH": str(Path(graphs.__file__).parent),
+    }
     with log.open("wb") as file:
         process = subprocess.Popen(
             [sys.executable, __file__], stdout=file, stderr=file, env=environment
         )
+
+    def until(condition: Callable[[], Any]) -> None:
+        def holds() -> Any:
+            assert process.poll() is None, log.read_text()
+            return condition()
+
+        peer.until(holds)
+
     try:
-        peer.until(lambda: peer.publisher.get_subscription_count() == 1)
-        peer.until(lambda: peer.node.count_publishers("echo") == 1)
-        peer.until(lambda: peer.errors.name and peer.errors.level == OK)
+        until(lambda: peer.publisher.get_subscription_count() == 1)
+        until(lambda: peer.peer.count_publishers("echo") == 1)
+        until(lambda: peer.errors.level == OK)
         peer.send("bad", "good", "bad", "bad", "good")
-        peer.until(lambda: len(peer.echoed) == 2)
-        peer.until(lambda: peer.errors.level == ERROR)
+        until(lambda: len(peer.echoed) == 2)
+        until(lambda: peer.errors.level == ERROR)
         assert "3 unexpected errors" in peer.errors.message
-        assert [item.value for item in peer.errors.values] == ["3"]
+        values = peer.diagnostics.report(NODE).values
+        assert [v for key, v in values.items() if key.startswith("ZeroDivisionError")] == ["3"]
         # A request that rclpy itself cannot read.
-        client = peer.node.create_client(SetParameters, "raising/set_parameters")
-        peer.until(client.service_is_ready)
+        client = peer.peer.create_client(SetParameters, "raising/set_parameters")
+        until(client.service_is_ready)
         request = SetParameters.Request(parameters=[ParameterMessage(name="rate")])
         request.parameters[0].value.type = 77
         client.call_async(request)
-        peer.until(lambda: "4 unexpected errors" in peer.errors.message)
+        until(lambda: "4 unexpected errors" in peer.errors.message)
         process.send_signal(signal.SIGTERM)
         assert process.wait(DEADLINE) == 0
     finally:
@@ -124,14 +116,12 @@ def test_the_node_goes_on_counts_logs_and_tells(peer: Peer, tmp_path: Path) -> N
 
 
 def test_an_executor_of_a_test_raises(peer: Peer) -> None:
-    node = Raising(context=peer.context)
-    peer.executor.add_node(node)
+    peer.make(Raising)
     peer.until(lambda: peer.publisher.get_subscription_count() == 1)
     peer.send("bad")
     with pytest.raises(ZeroDivisionError, match="of no use"):
         peer.until(lambda: False)
-    node.destroy_node()
 
 
 if __name__ == "__main__":
-    sys.exit(run(Raising))
+    sys.exit(run_node(Raising))

@@ -16,6 +16,7 @@ from insdvl.recordings.parameters import ReplayParameters
 from insdvl.simulation.parameters import SimulatorParameters
 from insdvl.studies.faults.link import RelayParameters
 from insdvl.tuner.parameters import TunerParameters
+from insdvl.watch.monitor_parameters import MonitorParameters
 
 #: The parameters of each node.
 SECTIONS: Mapping[str, type[Any]] = MappingProxyType(
@@ -25,6 +26,7 @@ SECTIONS: Mapping[str, type[Any]] = MappingProxyType(
         "insdvl_replay": ReplayParameters,
         "insdvl_simulator": SimulatorParameters,
         "insdvl_relay": RelayParameters,
+        "insdvl_monitor": MonitorParameters,
     }
 )
 
@@ -35,6 +37,7 @@ EXAMPLES = {
     "insdvl_simulator": "ros_insdvl_sim/config/simulator.yaml",
     "insdvl_replay": "ros_insdvl_sim/config/replay.yaml",
     "insdvl_relay": "ros_insdvl_sim/config/relay.yaml",
+    "insdvl_monitor": "ros_insdvl/config/monitor.yaml",
 }
 
 #: Parameters of the filter that depend on the vehicle, and why each matters.

@@ -1,6 +1,6 @@
-"""Who else is in the graph: publishers and subscriptions that do not match, nodes of one name.
+"""The cause `connections`: endpoints that do not match, a second publisher, nodes of one name.
 
-All is asked of the graph, so what has gone is told no more.
+Everything is asked of the graph at each look, so what has left it is no longer reported.
 """
 
 import time
@@ -13,11 +13,11 @@ from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from ros_insdvl.diagnostics import ERROR, WARN, Status
+from ros_insdvl.status.diagnostics import ERROR, WARN, Status
 
-#: A process that was killed stays in the graph until its lease is over: Fast DDS' is 20 s.
+#: A killed process stays in the graph until its lease expires: Fast DDS' is 20 s.
 LEASE = 20.0
-#: Stands for the name of a node that the graph does not know.
+#: Used as the name of a node that the graph does not know yet.
 UNKNOWN = "of an unknown node"
 
 
@@ -44,12 +44,12 @@ class Connections:
             inputs: The node's subscriptions, by topic.
             outputs: Its publishers, by topic.
         """
-        status = Status("connections", "all that is there matches")
-        self._tell_names(status)
+        status = Status("connections", "all endpoints match")
+        self._report_names(status)
         for topic, subscription in inputs.items():
             publishers, subscriptions = self._endpoints(topic)
             status.values[f"publishers {topic}"] = len(publishers)
-            self._tell_mismatches(status, topic, subscription, subscriptions, publishers)
+            self._report_mismatches(status, topic, subscription, subscriptions, publishers)
             if topic in self._single and len(publishers) > 1:
                 names = ", ".join(sorted(map(_name, publishers)))
                 status.complain(
@@ -60,14 +60,14 @@ class Connections:
         for topic, publisher in outputs.items():
             publishers, subscriptions = self._endpoints(topic)
             status.values[f"subscriptions {topic}"] = len(subscriptions)
-            self._tell_mismatches(status, topic, publisher, publishers, subscriptions)
+            self._report_mismatches(status, topic, publisher, publishers, subscriptions)
             rivals = sorted({*map(_name, publishers)} - {self._name, UNKNOWN})
             if rivals:
                 status.complain(
                     ERROR,
                     f"rivals {topic}",
-                    f"{topic} is published by {', '.join(rivals)} as well: stop it, or give one a "
-                    "namespace; consumers get a mixture",
+                    f"{topic} is also published by {', '.join(rivals)}: stop it, or give one a "
+                    "namespace; subscribers receive both",
                 )
         return status
 
@@ -78,7 +78,7 @@ class Connections:
             self._node.get_subscriptions_info_by_topic(topic),
         )
 
-    def _tell_names(self, status: Status) -> None:
+    def _report_names(self, status: Status) -> None:
         names = self._node.get_node_names_and_namespaces()
         same = sum(f"{space.rstrip('/')}/{name}" == self._name for name, space in names)
         now = time.monotonic()
@@ -92,11 +92,11 @@ class Connections:
             ERROR if lasts > LEASE else WARN,
             "names",
             f"{same} nodes are named {self._name}: stop all but one, or give each a namespace; "
-            "consumers get a mixture"
-            + ("" if lasts > LEASE else f" (one that was killed is listed for {LEASE:.0f} s)"),
+            "subscribers receive both"
+            + ("" if lasts > LEASE else f" (a killed node stays listed for {LEASE:.0f} s)"),
         )
 
-    def _tell_mismatches(
+    def _report_mismatches(
         self,
         status: Status,
         topic: str,
@@ -107,10 +107,10 @@ class Connections:
         """Complain of endpoints that never exchange a message with ours.
 
         Args:
-            status: Where to.
-            topic: As the node calls it.
-            entity: Ours.
-            same: The topic's endpoints of its kind, itself among them.
+            status: Takes the complaints.
+            topic: As the node names it.
+            entity: Our endpoint.
+            same: The topic's endpoints of its kind, ours among them.
             others: Those of the other kind.
         """
         subscribes = isinstance(entity, Subscription)
@@ -126,8 +126,7 @@ class Connections:
                 status.complain(
                     level,
                     f"type {what}",
-                    f"{what} has the type {other.topic_type} and not {type_name}: remap one of "
-                    "the two",
+                    f"{what} has type {other.topic_type}, expected {type_name}: remap one of them",
                 )
             elif qos is not None:
                 offered, asked = (
@@ -138,14 +137,15 @@ class Connections:
                         level,
                         f"qos {what}",
                         f"{what} does not match, no message passes: {reason}; set qos_overrides."
-                        f"{self._node.resolve_topic_name(topic)}.{ours}.*, or the other side's",
+                        f"{self._node.resolve_topic_name(topic)}.{ours}.*, or those of the other "
+                        "side",
                     )
 
 
 def _mismatch(offered: QoSProfile, asked: QoSProfile) -> str:
-    """Why a publisher and a subscription exchange nothing; empty where they do.
+    """Why a publisher and a subscription exchange nothing; empty if they do.
 
-    Both profiles are as the graph tells them, where nothing is left to a default.
+    Both profiles come from the graph, where nothing is left to a default.
     """
     compatibility, reason = qos_check_compatible(offered, asked)
     if compatibility != QoSCompatibility.ERROR:
@@ -154,7 +154,7 @@ def _mismatch(offered: QoSProfile, asked: QoSProfile) -> str:
 
 
 def _name(endpoint: TopicEndpointInfo) -> str:
-    """Full name of an endpoint's node; the graph may learn it later than the endpoint."""
+    """Full name of an endpoint's node, which the graph may learn later than the endpoint."""
     if endpoint.node_name == "_NODE_NAME_UNKNOWN_":
         return UNKNOWN
     return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"

@@ -1,7 +1,7 @@
-"""The fault matrix: every fault, what is expected, what was seen; and the page that tells it.
+"""The fault matrix: every fault, what is expected, what was seen; and its page.
 
-Faults of messages and time are flown through the core, the same bits with every call; those of
-processes and networks as real processes.
+Faults of messages and time are flown through the core and give the same bits in every call; those
+of processes and networks are flown as real processes.
 """
 
 import argparse
@@ -16,12 +16,13 @@ from insdvl.files import check_writable, json_text, write
 from insdvl.jobs.parallel import environment
 from insdvl.studies.faults import matrix, page, rows
 from insdvl.studies.faults.rows.base import ONE_SEED, FlightRow
-from ros_insdvl_sim import process_rows
-from ros_insdvl_sim.harness import guarded, isolate
+from ros_insdvl_sim.trials.environment import exit_code_of, isolate
+from ros_insdvl_sim.trials.process_rows.row import judged
+from ros_insdvl_sim.trials.process_rows.rows import ROWS as PROCESS_ROWS
 
 RATE_FACTOR = 4.0  # of the processes; low enough for a machine that does something else as well
 
-#: What the short form has of the rows of messages, with one seed each.
+#: Rows of messages in the short form, with one seed each.
 SHORT = (
     "NaN in a channel, 1 % of the samples",
     "one copy with a stamp 10^6 s ahead",
@@ -31,7 +32,7 @@ SHORT = (
 
 
 def short_rows() -> list[FlightRow]:
-    """The rows of messages that the short form has."""
+    """The rows of messages in the short form."""
     chosen = [row for row in rows.ROWS if row.name in SHORT]
     return [row.with_seeds(ONE_SEED) for row in chosen]
 
@@ -46,14 +47,14 @@ def judged_messages(chosen: list[FlightRow], jobs: int) -> Iterator[dict[str, An
 
 
 def judged_processes(short: bool) -> Iterator[dict[str, Any]]:
-    """The rows of processes, judged; one that cannot be flown is not met."""
-    for group, in_short, row in process_rows.ROWS:
-        if in_short or not short:
-            yield process_rows.judged(group, row, RATE_FACTOR)
+    """The rows of processes in their order, judged."""
+    for row in PROCESS_ROWS:
+        if row.short or not short:
+            yield judged(row, RATE_FACTOR)
 
 
-def run(options: argparse.Namespace) -> int:
-    """Fly the rows and write numbers and page; the exit code is 1 where a row is not met."""
+def fly_matrix(options: argparse.Namespace) -> int:
+    """Fly the rows and write numbers and page; the exit code is 1 if a row is not met."""
     isolate()
     folder: Path = options.out / "reliability"
     folder.mkdir(parents=True, exist_ok=True)
@@ -89,8 +90,8 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
         "--out", type=Path, default=Path("docs"), metavar="DIR", help="folder (default: ./docs)"
     )
     known = f"{page.MESSAGES},{page.PROCESSES}"
-    parser.add_argument("--parts", default=known, help=f"what is flown (default: {known})")
-    parser.add_argument("--short", action="store_true", help="a few rows, one seed each")
+    parser.add_argument("--parts", default=known, help=f"parts to fly (default: {known})")
+    parser.add_argument("--short", action="store_true", help="a few rows, with one seed each")
     parser.add_argument(
         "--jobs",
         type=int,
@@ -100,7 +101,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     options = parser.parse_args(arguments)
     for part in options.parts.split(","):
         if part not in known.split(","):
-            parser.error(f"--parts must be of {known}, got {part!r}")
+            parser.error(f"--parts must be one or more of {known}, got {part!r}")
     if options.jobs < 1:
         parser.error(f"--jobs must be >= 1, got {options.jobs}")
     return options
@@ -109,7 +110,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
 def main() -> int:
     """Fly the fault matrix from the command line."""
     options = parse(None)
-    return guarded("faults", lambda: run(options), failed=2)
+    return exit_code_of("faults", lambda: fly_matrix(options), failed=2)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,95 @@
+"""A node as a process: its start, its executor, its end and the exit code."""
+
+import signal
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import rclpy
+from rclpy.exceptions import InvalidParameterTypeException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+
+from insdvl.parameters.declaration import ParameterError
+from ros_insdvl.node import InsdvlNode
+
+
+def run_node(factory: Callable[[], InsdvlNode[Any]]) -> int:
+    """Make a node and spin it until it finishes, is interrupted or is terminated.
+
+    Returns:
+        The exit code: 0 after SIGINT or SIGTERM, 2 for a wrong parameter (one line on stderr names
+        it), else what the node finished with. Any other exception passes, which ends a program
+        with 1.
+    """
+    nodes: list[InsdvlNode[Any]] = []
+    try:
+        return _spin(factory, nodes)
+    except KeyboardInterrupt:  # a second one, while the first was handled
+        return 0
+    finally:
+        _ignore_interrupts()
+        for node in nodes:
+            node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def _spin(factory: Callable[[], InsdvlNode[Any]], nodes: list[InsdvlNode[Any]]) -> int:
+    """As `run_node`, which takes down the node that is put into ``nodes``."""
+    try:
+        _init()
+    except RuntimeError as error:  # base class of rcl's errors
+        print(f"cannot start ROS: {error}", file=sys.stderr)
+        return 2
+    try:
+        node = factory()
+        nodes.append(node)
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        _turn(executor, node)
+        return int(node.finished.result()) if node.finished.done() else 0
+    except (ParameterError, InvalidParameterTypeException) as error:
+        print(error, file=sys.stderr)
+        return 2
+    except (KeyboardInterrupt, ExternalShutdownException):
+        _ignore_interrupts()
+        return 0
+    except RuntimeError:  # base class of rcl's errors
+        if rclpy.ok():
+            raise
+        return 0  # interrupted while the node was made: the middleware is gone
+
+
+def _init() -> None:
+    """Start ROS, without log files if their folder cannot be written."""
+    try:
+        rclpy.init()
+    except RuntimeError as error:
+        if "logging" not in str(error):
+            raise
+        rclpy.try_shutdown()
+        rclpy.init(args=[*sys.argv, "--ros-args", "--disable-external-lib-logs"])
+        print(f"no log file, the log goes to the terminal only: {error}", file=sys.stderr)
+
+
+def _turn(executor: SingleThreadedExecutor, node: InsdvlNode[Any]) -> None:
+    """Handle messages until the node finishes; no message, whatever its content, ends this.
+
+    Only here: an executor of a test raises what a callback raises.
+    """
+    # rclpy's own spin_until_future_complete adds such a callback with every turn and forgets none.
+    node.finished.add_done_callback(lambda future: executor.wake())
+    while rclpy.ok() and not node.finished.done():
+        try:
+            executor.spin_once()
+        except ExternalShutdownException:
+            raise
+        except Exception as error:
+            if not rclpy.ok():  # interrupted: the middleware is gone
+                return
+            node.fail(error)
+
+
+def _ignore_interrupts() -> None:
+    """A further Ctrl-C while the node is taken down would end in a traceback."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)

@@ -1,0 +1,53 @@
+"""Quality of service of the topics; each may be overridden by parameters (`qos_overrides.*`)."""
+
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    QoSPolicyKind,
+    QoSProfile,
+    ReliabilityPolicy,
+)
+from rclpy.qos_overriding_options import QoSOverridingOptions
+
+
+def publisher_qos() -> QoSProfile:
+    """Reliable and deep: a reliable subscriber loses nothing in a stall of seconds."""
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.RELIABLE
+    )
+
+
+def sensor_qos() -> QoSProfile:
+    """Subscription to a sensor: best effort, which matches every driver's publisher."""
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT
+    )
+
+
+def command_qos() -> QoSProfile:
+    """Subscription to single messages that must arrive; any reliable publisher matches."""
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST, depth=100, reliability=ReliabilityPolicy.RELIABLE
+    )
+
+
+def latched_qos() -> QoSProfile:
+    """Publisher whose last messages reach subscribers that start later."""
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=10,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    )
+
+
+def overridable() -> QoSOverridingOptions:
+    """What parameters may change."""
+    return QoSOverridingOptions(
+        (
+            QoSPolicyKind.HISTORY,
+            QoSPolicyKind.DEPTH,
+            QoSPolicyKind.RELIABILITY,
+            QoSPolicyKind.DURABILITY,
+        )
+    )

@@ -1,0 +1,1 @@
+"""The causes of the filter, and the watch that lets them see what happens."""

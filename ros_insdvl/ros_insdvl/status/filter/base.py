@@ -1,0 +1,68 @@
+"""What a cause of the filter may see, and what it gives."""
+
+from math import inf
+
+import numpy as np
+
+from insdvl.navigation.events import Event
+from insdvl.navigation.odometry import Odometry
+from insdvl.timeline.jumps import TimeJump
+from insdvl.timeline.output import AppliedUpdate
+from ros_insdvl.status.diagnostics import Status, View
+
+IMU = "imu/data_raw"
+DVL = ("dvl/velocity", "dvl/velocity_cov")
+ODOMETRY = "odometry/filtered"
+
+
+class Cause:
+    """One cause: it remembers what it needs of what the filter does, and gives its status."""
+
+    def reset(self) -> None:
+        """Forget everything that was remembered by stamps: another time begins."""
+
+    def jumped(self, jump: TimeJump) -> None:
+        """The fold has followed the samples into another time."""
+
+    def took(self, event: Event) -> None:
+        """The fold took an event."""
+
+    def updated(self, update: AppliedUpdate) -> None:
+        """A DVL measurement was used or rejected."""
+
+    def published(self, output: Odometry, now_ns: int) -> None:
+        """Odometry was published at a time of the node's clock."""
+
+    def status(self, view: View) -> Status:
+        """The status, as of now."""
+        raise NotImplementedError
+
+
+class Published:
+    """The odometry that was published in this time.
+
+    Attributes:
+        first_ns: Stamp of the first one, None before it.
+        last: The last one.
+    """
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Another time begins."""
+        self.first_ns: int | None = None
+        self.last: Odometry | None = None
+
+    def add(self, output: Odometry) -> None:
+        """Odometry was published."""
+        if self.first_ns is None:
+            self.first_ns = output.stamp_ns
+        self.last = output
+
+    @property
+    def velocity_sigma(self) -> float:
+        """Largest sigma of the velocity's axes in the last output [m/s]."""
+        if self.last is None:
+            return inf
+        return float(np.sqrt(np.diag(self.last.twist_covariance)[:3].max()))

@@ -1,0 +1,66 @@
+"""The cause `initialisation`: what the filter waits for, and initial states that it cannot use."""
+
+from insdvl.messages.inputs import Inputs
+from insdvl.navigation.events import NS
+from insdvl.navigation.parameters import FilterParameters
+from insdvl.timeline.fold import Fold
+from ros_insdvl.status.diagnostics import RECENT, WARN, Status, View
+from ros_insdvl.status.filter.base import Cause, Published
+
+#: Events, and what each means.
+_EVENTS = {
+    "without_origin": "{count} initial states in the last {seconds:.0f} s arrived before the "
+    "origin and were not used: send them again after the fix",
+    "too_old": "{count} initial states in the last {seconds:.0f} s were much older than the first "
+    "IMU sample and were not used: check the sender's clock",
+    "not_level": "levelling restarted {count} times in the last {seconds:.0f} s: the specific "
+    "force differs from gravity, or samples are missing; keep the vehicle still, check the IMU and "
+    "its unit",
+}
+
+
+class Initialisation(Cause):
+    """Whether the filter has its initial state."""
+
+    def __init__(
+        self, parameters: FilterParameters, inputs: Inputs, fold: Fold, published: Published
+    ) -> None:
+        self._parameters = parameters
+        self._inputs = inputs
+        self._fold = fold
+        self._published = published
+
+    def status(self, view: View) -> Status:
+        """What is missing."""
+        status = Status("initialisation", "initialised")
+        first_ns = self._published.first_ns
+        if self._fold.latest is None:
+            status.complain(WARN, "waits", f"not initialised, waits for {self._waits_for}")
+        elif first_ns is not None:
+            status.summary = f"initialised, first output at stamp {first_ns / NS:.3f} s"
+        for name, text in _EVENTS.items():
+            if count := view.events.recent[name]:
+                status.complain(WARN, name, text.format(count=count, seconds=RECENT))
+        topics = ["set_odometry"]
+        if self._inputs.initial_topic is not None:
+            topics.append(self._inputs.initial_topic)
+        if "gps/fix" in self._inputs.topics:
+            topics.append("gps/fix")
+        view.show(status, *topics)
+        view.report_refused(status, topics)
+        view.show_events(status, *_EVENTS)
+        return status
+
+    @property
+    def _waits_for(self) -> str:
+        """What an uninitialised filter waits for."""
+        initial = self._parameters.initial
+        waits_for = {
+            "parameters": "the first IMU sample",
+            "levelling": f"{initial.levelling_time:g} s of IMU samples at rest",
+            "topic": f"a message on {initial.topic}",
+            "set_odometry": "a message on set_odometry",
+        }[initial.mode]
+        if self._parameters.origin.source == "topic":
+            waits_for += " and a fix on gps/fix"
+        return waits_for

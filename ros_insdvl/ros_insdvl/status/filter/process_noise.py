@@ -1,0 +1,62 @@
+"""The cause `process noise`: the Q in use, its age, and limits that were applied to it."""
+
+from insdvl.messages.topics import Q_TOPICS
+from insdvl.navigation.events import NS
+from insdvl.navigation.parameters import FilterParameters
+from insdvl.timeline.fold import Fold
+from insdvl.watch.state_summary import StateSummary, summary
+from ros_insdvl.status.diagnostics import RECENT, WARN, Status, View, show_sigmas
+from ros_insdvl.status.filter.base import IMU, Cause
+
+
+class ProcessNoise(Cause):
+    """The process noise in use."""
+
+    def __init__(self, parameters: FilterParameters, fold: Fold) -> None:
+        self._source = parameters.process_noise.source
+        self._timeout = parameters.q_timeout
+        self._topic = Q_TOPICS.get(self._source)
+        self._fold = fold
+
+    def status(self, view: View) -> Status:
+        """Values, age, refusals and limits."""
+        status = Status("process noise", self._source)
+        state = self._fold.latest
+        if state is not None:
+            noise = summary(state)
+            show_sigmas(status, noise.sigma_f, noise.sigma_w)
+            if self._topic is not None or self._source == "message":
+                self._report_age(status, noise)
+        if self._topic is not None:
+            view.report_refused(status, [self._topic])
+            view.show(status, self._topic)
+        for name, limit, parameter, sensor in (
+            ("floors", "below the floor", "floor", "good"),
+            ("ceilings", "above the ceiling", "ceiling", "poor"),
+        ):
+            if count := view.events.recent[name]:
+                status.complain(
+                    WARN,
+                    name,
+                    f"a received Q was {limit} {count} times in the last {RECENT:.0f} s, and the "
+                    f"{parameter} was used: check its sender, or set process_noise.*_{parameter} "
+                    f"if the sensor is that {sensor}",
+                )
+        view.show_events(status, "q_timeouts", "floors", "ceilings")
+        return status
+
+    def _report_age(self, status: Status, noise: StateSummary) -> None:
+        """Of a Q that is received."""
+        if noise.process_noise_ns is None:
+            status.values["Q age [s]"] = "nominal"
+            sender = ", the tuner" if self._source == "external" else ""
+            status.complain(
+                WARN,
+                "nominal",
+                f"no process noise received yet, or none for more than {self._timeout:g} s; Q is "
+                f"nominal: check what publishes {self._topic or IMU}{sender}",
+            )
+        else:
+            age = (noise.time_ns - noise.process_noise_ns) / NS
+            status.values["Q age [s]"] = f"{age:.3f}"
+            status.summary = f"{self._source}, {age:.1f} s old"

@@ -1,0 +1,91 @@
+"""All causes of the filter: each sees what the node does, and gives its status."""
+
+from collections import Counter
+
+from insdvl.messages.inputs import Inputs
+from insdvl.navigation.events import Event
+from insdvl.navigation.odometry import Odometry
+from insdvl.navigation.parameters import FilterParameters
+from insdvl.timeline.fold import Fold
+from insdvl.timeline.jumps import TimeJump
+from insdvl.timeline.output import AppliedUpdate
+from insdvl.timeline.state_file import StateFile
+from ros_insdvl.status.diagnostics import Status, View
+from ros_insdvl.status.filter.base import Cause, Published
+from ros_insdvl.status.filter.dvl import Dvl
+from ros_insdvl.status.filter.frames import Frames
+from ros_insdvl.status.filter.imu import Imu
+from ros_insdvl.status.filter.initialisation import Initialisation
+from ros_insdvl.status.filter.output import Output
+from ros_insdvl.status.filter.process_noise import ProcessNoise
+from ros_insdvl.status.filter.state_file import KeptState
+from ros_insdvl.status.filter.time import Time
+
+
+class FilterWatch:
+    """Tells the causes what happens.
+
+    Args:
+        parameters: Of the filter.
+        inputs: Of the filter.
+        fold: Of the filter.
+        state_file: Where its state is kept, None for nowhere.
+    """
+
+    def __init__(
+        self,
+        parameters: FilterParameters,
+        inputs: Inputs,
+        fold: Fold,
+        state_file: StateFile | None = None,
+    ) -> None:
+        self._fold = fold
+        self._published = Published()
+        self._imu = Imu(parameters)
+        self._frames = Frames(parameters, inputs)
+        self._causes: tuple[Cause, ...] = (
+            Initialisation(parameters, inputs, fold, self._published),
+            self._imu,
+            Dvl(fold, self._published),
+            ProcessNoise(parameters, fold),
+            Time(fold),
+            self._frames,
+            Output(parameters, self._published),
+            KeptState(state_file),
+        )
+
+    @property
+    def counts(self) -> Counter[str]:
+        """Events that are counted here and in the fold."""
+        return Counter({**self._fold.counts, **self._imu.counts, **self._frames.counts})
+
+    def reset(self) -> None:
+        """Another time begins: what was remembered by stamps is forgotten."""
+        self._published.reset()
+        for cause in self._causes:
+            cause.reset()
+
+    def jumped(self, jump: TimeJump) -> None:
+        """The fold has followed the samples into another time."""
+        for cause in self._causes:
+            cause.jumped(jump)
+
+    def took(self, event: Event) -> None:
+        """The fold took an event."""
+        for cause in self._causes:
+            cause.took(event)
+
+    def updated(self, update: AppliedUpdate) -> None:
+        """A DVL measurement was used or rejected."""
+        for cause in self._causes:
+            cause.updated(update)
+
+    def published(self, output: Odometry, now_ns: int) -> None:
+        """Odometry was published at a time of the node's clock."""
+        self._published.add(output)
+        for cause in self._causes:
+            cause.published(output, now_ns)
+
+    def causes(self, view: View) -> list[Status]:
+        """All statuses, as of now."""
+        return [cause.status(view) for cause in self._causes]

@@ -1,0 +1,29 @@
+"""What to do about refused messages, by the reason."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+#: Reasons that concern the stamp and not the content of a message.
+OF_TIME = ("no_stamp", "bad_stamp", "too_late", "far_ahead")
+#: Reasons that concern the frame of a message.
+OF_FRAMES = ("wrong_frame",)
+
+REMEDIES: Mapping[str, str] = MappingProxyType(
+    {
+        "bad_covariance": "the sender's covariance is not finite, not symmetric or negative",
+        "bad_quaternion": "the sender's attitude is not a unit quaternion",
+        "bad_stamp": "the sender's stamps are negative or have too many nanoseconds",
+        "duplicate": "two senders on one topic, or a network that duplicates messages",
+        "far_ahead": "the sender's clock is ahead of the IMU's",
+        "gate": "the measurements do not fit: check the DVL, its mount and its noise, and the IMU",
+        "no_data": "the sender marks its data as not measured",
+        "no_lock": "the DVL sends exact zeros: it has no bottom lock",
+        "no_stamp": "the driver does not stamp its messages",
+        "not_finite": "the sender sends NaN or infinity",
+        "out_of_range": "the values are physically impossible: check the sender's units",
+        "repeated": "the DVL repeats its last measurement: no bottom lock, or two publishers",
+        "too_late": "they arrive more than max_delay after the IMU: shorten the delay or raise "
+        "max_delay",
+        "wrong_frame": "another sensor publishes there, or the expected frame_id is wrong: set it",
+    }
+)

@@ -1,0 +1,76 @@
+"""The tuner's cause `process noise`: what is learned, and why nothing is."""
+
+import numpy as np
+
+from insdvl.tuner.tuner import TunedNoise, Tuner
+from ros_insdvl.status.diagnostics import RECENT, WARN, Status, View, show_sigmas
+from ros_insdvl.status.tuner.imu import IMU
+
+LEARNED = "process_noise"
+
+
+class Learned:
+    """The learned process noise.
+
+    Args:
+        tuner: The tuner.
+        rate: Its parameter [Hz].
+        max_gap: Its parameter [s].
+    """
+
+    def __init__(self, tuner: Tuner, rate: float, max_gap: float) -> None:
+        self._tuner = tuner
+        self._rate = rate
+        self._max_gap = max_gap
+
+    def status(self, view: View, latest: TunedNoise | None) -> Status:
+        """Model, switch, and the six sigmas of the latest Q."""
+        model = self._tuner.model.card["name"]
+        status = Status("process noise", f"learned by the model {model}")
+        status.values["model"] = model
+        status.values["enabled"] = self._tuner.enabled
+        if not self._tuner.enabled:
+            status.complain(
+                WARN, "disabled", "disabled, process_noise is not published: call ~/enable"
+            )
+        elif self._learns_nothing(view):
+            status.complain(
+                WARN,
+                "nothing",
+                f"no window was usable in the last {RECENT:.0f} s: it takes "
+                f"{self._tuner.model.window} samples in a row without a gap"
+                + self._what_emptied(view),
+            )
+        if count := view.events.recent["too_large"]:
+            status.complain(
+                WARN,
+                "too large",
+                f"{count} windows in the last {RECENT:.0f} s had values too large to learn from: "
+                "check the IMU",
+            )
+        if latest is not None:
+            sigmas = np.sqrt(latest.variances)
+            show_sigmas(status, sigmas[:3], sigmas[3:])
+        view.show_events(status, "samples", "windows", "too_large")
+        view.show(status, LEARNED)
+        return status
+
+    def _learns_nothing(self, view: View) -> bool:
+        """Whether samples came all the time, for long enough, and no estimate."""
+        samples = view.received.recent[IMU]
+        return (
+            0 < samples < view.received.total[IMU]
+            and not view.sent.recent[LEARNED]
+            and RECENT * self._rate >= 2.0
+        )
+
+    def _what_emptied(self, view: View) -> str:
+        """What kept the window from filling, and what to do; empty if nothing did."""
+        gaps, restarts = view.events.recent["gaps"], view.events.recent["restarts"]
+        if not gaps + restarts:
+            return ""
+        return (
+            f", and {gaps} gaps and {restarts} restarts emptied it: repair the network, run the "
+            "tuner beside the IMU's driver, or raise max_gap "
+            f"({self._max_gap:g} s) above the delays"
+        )
