@@ -4,17 +4,14 @@ import json
 import os
 import signal
 import subprocess
-import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 from ament_index_python.packages import get_package_prefix
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
+from graphs import Graph, children_of, runs
 from sensor_msgs.msg import Imu
 
 from insdvl.messages.convert import dvl, imu, process_noise, stamp_ns
@@ -26,11 +23,19 @@ from insdvl.parameters.sections import load_section
 from insdvl.recordings.bag_reader import BagReader
 from insdvl.studies.evaluation.metrics import Scores
 from insdvl.timeline.recorded import fold_arrays
-from ros_insdvl_sim import demo
+from ros_insdvl_sim.trials import demo
+from ros_insdvl_sim.trials.demo_graph import (
+    CONSUMER_NODES,
+    CONSUMERS,
+    OUTPUT_DELAY,
+    RECORDED,
+    initial_parameters,
+)
+from ros_insdvl_sim.trials.demo_result import print_scores
 
-DEADLINE = 300.0  # s; far beyond what any of these waits takes
+DEADLINE = 300.0  # s; only a hang takes so long
 DURATION = 6.0
-NODES = {"/insdvl_tuner", "/constant/insdvl_filter", "/learned/insdvl_filter"}
+NODES = {*CONSUMER_NODES, "/insdvl_simulator"}
 
 
 def command(out: Path, *arguments: str) -> list[str]:
@@ -38,36 +43,10 @@ def command(out: Path, *arguments: str) -> list[str]:
     return [str(executable), "--out", str(out), "--rate-factor", "2", *arguments]
 
 
-class Peer:
-    """A node of this process that looks at the demo's graph."""
-
-    def __init__(self) -> None:
-        self.context = Context()
-        self.context.init()
-        self.node = Node("peer", context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
-
-    def nodes(self) -> set[str]:
-        pairs = self.node.get_node_names_and_namespaces()
-        return {namespace.rstrip("/") + "/" + name for name, namespace in pairs}
-
-    def until(self, condition: Callable[[], bool]) -> None:
-        start = time.monotonic()
-        while not condition():
-            assert time.monotonic() - start < DEADLINE
-            self.executor.spin_once(timeout_sec=0.05)
-
-    def close(self) -> None:
-        self.node.destroy_node()
-        self.context.shutdown()
-
-
 @pytest.fixture
-def peer() -> Iterator[Peer]:
-    made = Peer()
-    yield made
-    made.close()
+def peer(managed: Any) -> Graph:
+    """A node of this process that looks at the demo's graph."""
+    return managed(Graph())
 
 
 @pytest.fixture(scope="module")
@@ -90,11 +69,11 @@ def test_every_message_arrives_and_is_counted(flown: tuple[Path, str]) -> None:
         assert counts[consumer, "imu/data_raw"]["received"] == 100 * DURATION
     assert counts["/learned filter", "dvl/velocity"]["received"] == DURATION
     assert counts["/learned filter", "process_noise"]["received"] == DURATION - 1
-    published = 100 * (DURATION - demo.OUTPUT_DELAY)
+    published = 100 * (DURATION - OUTPUT_DELAY)
     assert counts["demo", "/constant/odometry/filtered"]["received"] == published
     assert counts["recording", "/imu/data_raw"]["received"] == 100 * DURATION
     with BagReader(out / "bag") as bag:
-        for topic in demo.RECORDED:
+        for topic in RECORDED:
             assert counts["recording", topic]["received"] == bag.topics[topic].size
     assert set(summary["exit_codes"].values()) == {0}
     assert summary["rejected"] == {"constant": 0, "learned": 0}
@@ -136,7 +115,7 @@ def test_recording_replays_to_the_same_states(flown: tuple[Path, str], name: str
         [event for event in events if not isinstance(event, Sample)],
     )
     assert len(result.updates) == DURATION
-    assert len(published) == 100 * (DURATION - demo.OUTPUT_DELAY)
+    assert len(published) == 100 * (DURATION - OUTPUT_DELAY)
     for k, message in enumerate(published):
         offline = odometry(result.filter, result.states, k)
         assert stamp_ns(message.header) == offline.stamp_ns
@@ -155,12 +134,12 @@ def test_both_filters_start_with_the_same_wrong_state(flown: tuple[Path, str]) -
     assert sections[0]["initial"] == sections[1]["initial"]
     initial = sections[0]["initial"]
     assert initial["velocity"] != pytest.approx([1.0, 0.0, 0.0], abs=1e-3)
-    assert initial == demo.initial_parameters(4)["initial"]
-    assert initial != demo.initial_parameters(5)["initial"]
+    assert initial == initial_parameters(4)["initial"]
+    assert initial != initial_parameters(5)["initial"]
 
 
 def test_initial_errors_are_drawn_from_the_initial_covariance() -> None:
-    drawn = [demo.initial_parameters(seed)["initial"] for seed in range(400)]
+    drawn = [initial_parameters(seed)["initial"] for seed in range(400)]
     velocity = np.array([d["velocity"] for d in drawn])
     rpy = np.array([d["rpy"] for d in drawn])
     sigma = FilterParameters().initial
@@ -169,43 +148,49 @@ def test_initial_errors_are_drawn_from_the_initial_covariance() -> None:
     np.testing.assert_allclose(rpy[:, 2].std(), sigma.heading_std, rtol=0.15)
 
 
-def test_refuses_to_start_beside_another_publisher(peer: Peer, tmp_path: Path) -> None:
-    peer.node.create_publisher(Imu, "/imu/data_raw", 10)
+def test_refuses_to_start_beside_another_publisher(peer: Graph, tmp_path: Path) -> None:
+    peer.peer.create_publisher(Imu, "/imu/data_raw", 10)
     result = subprocess.run(command(tmp_path), capture_output=True, text=True)
     assert result.returncode == 1
     assert "/imu/data_raw already has a publisher" in result.stderr
-    peer.until(lambda: not NODES & peer.nodes())
+    peer.until(lambda: not NODES & peer.node_names())
 
 
 @pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
-def test_interrupted_it_leaves_no_process(peer: Peer, tmp_path: Path, kind: signal.Signals) -> None:
+def test_interrupted_it_leaves_no_process(
+    peer: Graph, tmp_path: Path, kind: signal.Signals
+) -> None:
+    """Interrupted twice: in flight, or while its processes start."""
     with (tmp_path / "log").open("wb") as log:
         process = subprocess.Popen(command(tmp_path / "out"), stdout=log, stderr=log)
     try:
-        peer.until(lambda: {*NODES, "/insdvl_simulator"} <= peer.nodes())
+        if kind == signal.SIGINT:
+            peer.until(lambda: peer.node_names() >= NODES)
+        else:
+            peer.until(lambda: len(children_of(process.pid)) == len(CONSUMERS))
+        children = children_of(process.pid)
         process.send_signal(kind)
         process.send_signal(kind)
         assert process.wait(DEADLINE) == 130
     finally:
         process.kill()
-    peer.until(lambda: not NODES & peer.nodes())
+    peer.until(lambda: not any(map(runs, children)))
     assert b"Traceback" not in (tmp_path / "log").read_bytes()
 
 
-def test_dead_process_ends_the_demo_with_its_name(peer: Peer, tmp_path: Path) -> None:
+def test_dead_process_ends_the_demo_with_its_name(peer: Graph, tmp_path: Path) -> None:
     process = subprocess.Popen(command(tmp_path), stderr=subprocess.PIPE, stdout=subprocess.DEVNULL)
     try:
-        peer.until(lambda: {*NODES, "/insdvl_simulator"} <= peer.nodes())
-        children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-        names = {int(c): Path(f"/proc/{c}/cmdline").read_bytes().decode() for c in children}
-        (tuner,) = (c for c, text in names.items() if "ros_insdvl/tuner" in text)
+        peer.until(lambda: peer.node_names() >= NODES)
+        children = children_of(process.pid)
+        (tuner,) = (c for c, text in children.items() if "ros_insdvl/tuner" in text)
         os.kill(tuner, signal.SIGKILL)
         _, errors = process.communicate(timeout=DEADLINE)
     finally:
         process.kill()
     assert process.returncode == 1
     assert b"tuner ended with exit code -9" in errors
-    peer.until(lambda: not NODES & peer.nodes())
+    peer.until(lambda: not any(map(runs, children)))
 
 
 @pytest.mark.parametrize(
@@ -233,7 +218,7 @@ def test_it_says_plainly_which_filter_is_better(
     capsys: pytest.CaptureFixture[str], learned: float, word: str
 ) -> None:
     rest = {name: 1.0 for name in Scores.__dataclass_fields__ if name != "body_velocity_rmse"}
-    demo.print_scores(
+    print_scores(
         {
             "constant": Scores(body_velocity_rmse=0.1, **rest),
             "learned": Scores(body_velocity_rmse=learned, **rest),

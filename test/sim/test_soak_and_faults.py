@@ -6,22 +6,21 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from nav_msgs.msg import Odometry
-from rclpy.serialization import serialize_message
 
 from insdvl.navigation.events import NS
 from insdvl.studies.faults import page
 from insdvl.studies.faults.verdicts import lost
-from ros_insdvl.conversions import time_of
-from ros_insdvl_sim import faults, process_rows, soak
-from ros_insdvl_sim.harness import HarnessError
+from ros_insdvl_sim.trials import faults, soak, soak_search
+from ros_insdvl_sim.trials.environment import TrialError
+from ros_insdvl_sim.trials.process_rows.flight import START_S
+from ros_insdvl_sim.trials.process_rows.judgement import samples_without_output
+from ros_insdvl_sim.trials.process_rows.rows import ROWS
 
 
 def test_a_fault_row_of_the_network_is_met(tmp_path: Path) -> None:
     options = faults.parse(["--short", "--parts", "processes", "--out", str(tmp_path)])
-    assert faults.run(options) == 0
+    assert faults.fly_matrix(options) == 0
     document = json.loads((tmp_path / "reliability" / "processes.json").read_text())
     (row,) = document["rows"]
     assert row["met"] and row["lost"] == 0
@@ -42,31 +41,21 @@ def test_a_fault_row_of_the_network_is_met(tmp_path: Path) -> None:
 def test_a_sample_without_output_is_lost(
     published: Sequence[int], lives: Sequence[float], output_delay: float, lost: int
 ) -> None:
-    def odometry(k: int) -> tuple[int, bytes]:
-        stamp_ns = round(process_rows.START_S * NS) + k * NS // 100
-        message = Odometry()
-        message.header.stamp = time_of(stamp_ns)
-        message.twist.covariance = np.eye(6).ravel()
-        return stamp_ns, serialize_message(message)
+    def stamps(numbers: Sequence[int]) -> list[int]:
+        return [round(START_S * NS) + k * NS // 100 for k in numbers]
 
-    outcome = process_rows.Outcome("a fault")
-    with process_rows.sea(4.0) as sea:
-        sea.truth = dict(map(odometry, range(101)))
-        sea.odometry = list(map(odometry, published))
-        sea.judge(outcome, 0.0, 0.1, lives=lives, output_delay=output_delay)
-    assert outcome.lost == lost
-    (check,) = [c for c in outcome.checks if c["expected"] == "no valid message lost"]
-    assert check["met"] == (lost == 0)
+    found = samples_without_output(stamps(range(101)), stamps(published), lives, output_delay)
+    assert found == lost
 
 
 def test_the_short_form_has_the_rows_that_it_names() -> None:
     assert {row.name for row in faults.short_rows()} == set(faults.SHORT)
-    assert sum(in_short for _, in_short, _ in process_rows.ROWS) == 1
+    assert sum(row.short for row in ROWS) == 1
 
 
 def test_legs_of_a_soak_add_up(tmp_path: Path) -> None:
     options = ["--leg", "20", "--rate-factor", "4", "--out", str(tmp_path)]
-    assert soak.run(soak.parse([*options, "--hours", "2"])) == 0
+    assert soak.soak_and_judge(soak.parse([*options, "--hours", "2"])) == 0
     file = tmp_path / "reliability" / "soak.json"
     first = json.loads(file.read_text())["legs"]
     assert [leg["leg"] for leg in first] == [0, 1]
@@ -76,10 +65,10 @@ def test_legs_of_a_soak_add_up(tmp_path: Path) -> None:
         assert leg["nis"] < 8.0 and leg["body_velocity_rmse"] < 0.5
         assert leg["memory"]["filter"]["end"] > 10.0
     # What is there is kept, and the page is of it.
-    assert soak.run(soak.parse([*options, "--hours", "0"])) == 0
+    assert soak.soak_and_judge(soak.parse([*options, "--hours", "0"])) == 0
     assert json.loads(file.read_text())["legs"] == first
     found = page.documents(tmp_path / "reliability")
-    assert soak.run(soak.parse([*options, "--hours", "0", "--core-hours", "1"])) == 0
+    assert soak.soak_and_judge(soak.parse([*options, "--hours", "0", "--core-hours", "1"])) == 0
     assert (tmp_path / "reliability.md").read_text() != page.markdown(found)
 
 
@@ -102,7 +91,9 @@ def test_what_the_soak_refuses(
 def test_what_the_faults_refuse(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         faults.parse(["--parts", "moon"])
-    assert "--parts must be of messages,processes, got 'moon'" in capsys.readouterr().err
+    assert (
+        "--parts must be one or more of messages,processes, got 'moon'" in capsys.readouterr().err
+    )
 
 
 # ---------------------------------------------------------------- without processes
@@ -156,7 +147,7 @@ def fly(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Flown]:
 
     def fly(**numbers: Callable[[float], Any]) -> Flown:
         flown = Flown(**numbers)
-        monkeypatch.setattr(soak, "graph", flown.graph)
+        monkeypatch.setattr(soak_search, "graph", flown.graph)
         monkeypatch.setattr(soak, "isolate", lambda: None)
         return flown
 
@@ -164,7 +155,7 @@ def fly(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Flown]:
 
 
 def add(folder: Path, *options: str) -> int:
-    return soak.run(soak.parse(["--out", str(folder), *options]))
+    return soak.soak_and_judge(soak.parse(["--out", str(folder), *options]))
 
 
 def recorded(folder: Path) -> dict[str, Any]:
@@ -184,7 +175,7 @@ def test_the_highest_speed_at_which_all_is_well_is_found(
     number: str, fly: Callable[..., Flown]
 ) -> None:
     flown = fly(**{number: BAD[number]})
-    best, tried = soak.search()
+    best, tried = soak_search.search_speed()
     assert best == 6.2
     assert flown.speeds == [trial["rate_factor"] for trial in tried] == [4.0, 5.0, 6.2, 7.8]
     assert [trial["mission"] for trial in tried] == [30.0 * speed for speed in flown.speeds]
@@ -193,20 +184,20 @@ def test_the_highest_speed_at_which_all_is_well_is_found(
 
 def test_silence_is_no_speed(fly: Callable[..., Flown]) -> None:
     fly(latency=lambda speed: None if speed > TOO_FAST else 5.0)
-    assert soak.search()[0] == 6.2
+    assert soak_search.search_speed()[0] == 6.2
 
 
 def test_the_search_has_an_end(fly: Callable[..., Flown]) -> None:
     flown = fly()
-    best, tried = soak.search()
-    assert best == flown.speeds[-1] <= soak.LAST_FACTOR < best * soak.STEP
+    best, tried = soak_search.search_speed()
+    assert best == flown.speeds[-1] <= soak_search.LAST_FACTOR < best * soak_search.STEP
     assert len(tried) == len(flown.speeds)
 
 
 def test_a_machine_that_is_too_slow_is_told(fly: Callable[..., Flown]) -> None:
     flown = fly(lost=lambda speed: 1)
-    with pytest.raises(HarnessError, match="lost or late at 4 times real time already"):
-        soak.search()
+    with pytest.raises(TrialError, match="lost or late even at 4 times real time"):
+        soak_search.search_speed()
     assert flown.speeds == [4.0]
 
 
@@ -253,21 +244,21 @@ def test_an_hour_that_the_host_spoilt_is_flown_again_at_its_speed(
 
 
 def test_a_host_that_never_lets_go_is_told(tmp_path: Path, fly: Callable[..., Flown]) -> None:
-    losses = iter([0] * 4 + [1] * soak.DISTURBED)
+    losses = iter([0] * 4 + [1] * soak_search.DISTURBED)
     flown = fly(
         lost=lambda speed: next(losses),
         stolen=lambda speed: 0.2,
         held=lambda speed: float(speed < TOO_FAST),
     )
-    with pytest.raises(HarnessError, match="host took more than 5 % of the processors"):
+    with pytest.raises(TrialError, match="host took more than 5 % of the processors"):
         add(tmp_path)
-    assert len(flown.missions) == 4 + soak.DISTURBED
+    assert len(flown.missions) == 4 + soak_search.DISTURBED
 
 
 def test_below_the_first_speed_there_is_none(tmp_path: Path, fly: Callable[..., Flown]) -> None:
     losses = iter([0, 0, 1])  # of the trials, then of the hour
     fly(lost=lambda speed: next(losses), held=lambda speed: float(speed < 4.5))
-    with pytest.raises(HarnessError, match="lost at 4 times real time already"):
+    with pytest.raises(TrialError, match="lost even at 4 times real time"):
         add(tmp_path)
     document = recorded(tmp_path)
     assert document["legs"] == [] and document["search"][-1]["lost"] == 1
