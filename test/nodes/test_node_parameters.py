@@ -1,6 +1,5 @@
 """Parameters of a node: declared with their meaning, and refused by name when they are wrong."""
 
-import json
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -10,6 +9,7 @@ import pytest
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from starts import Start, starts
 
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import ParameterError, declarations
@@ -57,40 +57,16 @@ def make(context: Context, group: type[Any] = FilterParameters, **values: Any) -
     return InsdvlNode("insdvl_filter", group, context=context, parameter_overrides=overrides)
 
 
-#: Starts the filter with one line of arguments after the other, in one process.
-STARTS = """
-import json
-import sys
-from ros_insdvl.execution import run_node
-from ros_insdvl.filter import FilterNode
-
-for line in sys.stdin:
-    sys.argv = ["filter", "--ros-args", *json.loads(line)]
-    print(run_node(FilterNode), flush=True)
-    print("END", file=sys.stderr, flush=True)
-"""
-
-
 @pytest.fixture(scope="module")
-def starts() -> list[tuple[int, list[str]]]:
-    """Exit code and errors of the filter with each of the wrong arguments."""
-    result = subprocess.run(
-        [sys.executable, "-c", STARTS],
-        input="\n".join(json.dumps(arguments) for arguments, _ in WRONG),
-        capture_output=True,
-        text=True,
-    )
-    assert result.returncode == 0, result.stderr
-    errors = [text.splitlines() for text in result.stderr.split("END\n")]
-    return list(zip(map(int, result.stdout.split()), errors, strict=False))
+def started() -> list[Start]:
+    """The filter, started with each of the wrong arguments."""
+    return starts("ros_insdvl.filter", "FilterNode", [arguments for arguments, _ in WRONG])
 
 
 @pytest.mark.parametrize("k", range(len(WRONG)), ids=[w[0][1].split(":=")[0] for w in WRONG])
-def test_wrong_parameter_ends_the_node_with_its_name(
-    starts: list[tuple[int, list[str]]], k: int
-) -> None:
-    exit_code, errors = starts[k]
-    assert exit_code == 2
+def test_wrong_parameter_ends_the_node_with_its_name(started: list[Start], k: int) -> None:
+    assert started[k].code == 2
+    errors = started[k].err.splitlines()
     lines = [line for line in errors if not line.startswith("[ERROR]")]
     assert len(lines) == 1
     for text in WRONG[k][1]:

@@ -5,19 +5,14 @@ import re
 import shlex
 import signal
 import subprocess
-import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from ament_index_python.packages import get_package_prefix
+from graphs import Graph
 from nav_msgs.msg import Odometry
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
-
-from insdvl.messages.convert import stamp_ns
+from ros_messages import stamp_of
 
 README = Path(__file__).parents[2] / "README.md"
 ROWS = ("simulator", "tuner", "filter")
@@ -36,31 +31,20 @@ def heading(odometry: Odometry) -> float:
     return math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y**2 + q.z**2))
 
 
-class Terminals:
+class Terminals(Graph):
     """The processes that a reader of the README starts, and what they publish."""
 
     def __init__(self, folder: Path) -> None:
+        super().__init__()
         self.folder = folder
         self.processes: list[subprocess.Popen[bytes]] = []
-        self.truth: dict[int, Odometry] = {}
-        self.filtered: dict[int, Odometry] = {}
-        self.context = Context()
-        self.context.init()
-        self.node = Node("reader", context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
-        for topic, received in (
-            ("ground_truth/odometry", self.truth),
-            ("odometry/filtered", self.filtered),
-        ):
-            self.node.create_subscription(
-                Odometry,
-                topic,
-                lambda message, received=received: received.update(
-                    {stamp_ns(message.header): message}
-                ),
-                QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE),
-            )
+        self.truth = self.keep(Odometry, "ground_truth/odometry")
+        self.filtered = self.keep(Odometry, "odometry/filtered")
+
+    def pairs(self) -> list[tuple[Odometry, Odometry]]:
+        """Odometry and truth of the same stamps, in their order."""
+        truth = {stamp_of(message): message for message in self.truth}
+        return [(m, truth[stamp_of(m)]) for m in self.filtered if stamp_of(m) in truth]
 
     def start(self, row: str) -> None:
         prefix = Path(get_package_prefix("ros_insdvl"))
@@ -70,12 +54,8 @@ class Terminals:
                 subprocess.Popen(shlex.split(command), stdout=log, stderr=subprocess.STDOUT)
             )
 
-    def until(self, condition: Callable[[], bool]) -> None:
-        start = time.monotonic()
-        while not condition():
-            assert time.monotonic() - start < DEADLINE, self.logs()
-            assert all(process.poll() is None for process in self.processes), self.logs()
-            self.executor.spin_once(timeout_sec=0.1)
+    def check(self) -> None:
+        assert all(process.poll() is None for process in self.processes), self.logs()
 
     def logs(self) -> str:
         return "\n".join(path.read_text() for path in sorted(self.folder.glob("*.log")))
@@ -85,16 +65,12 @@ class Terminals:
             process.send_signal(signal.SIGINT)
         for process in self.processes:
             process.wait(DEADLINE)
-        self.executor.shutdown()
-        self.node.destroy_node()
-        self.context.shutdown()
+        super().close()
 
 
 @pytest.fixture
-def terminals(tmp_path: Path) -> Iterator[Terminals]:
-    made = Terminals(tmp_path)
-    yield made
-    made.close()
+def terminals(managed: Any, tmp_path: Path) -> Terminals:
+    return managed(Terminals(tmp_path))
 
 
 @pytest.mark.parametrize("row", [*ROWS, "play a rosbag2", "bad network", "live table"])
@@ -106,10 +82,14 @@ def test_both_columns_run_the_same(row: str) -> None:
 def test_the_first_rows_navigate_the_right_way(terminals: Terminals) -> None:
     for row in ROWS:
         terminals.start(row)
-    terminals.until(lambda: len(terminals.truth.keys() & terminals.filtered.keys()) >= SAMPLES)
-    stamps = sorted(terminals.truth.keys() & terminals.filtered.keys())
-    for stamp in stamps[0], stamps[SAMPLES // 2], stamps[-1]:
-        filtered, truth = terminals.filtered[stamp], terminals.truth[stamp]
+
+    def flown() -> bool:
+        terminals.check()
+        return len(terminals.filtered) >= SAMPLES and len(terminals.pairs()) >= SAMPLES
+
+    terminals.until(flown, "the flight")
+    pairs = terminals.pairs()
+    for filtered, truth in pairs[0], pairs[SAMPLES // 2], pairs[-1]:
         error = math.remainder(heading(filtered) - heading(truth), 2 * math.pi)
         sigma = math.sqrt(filtered.pose.covariance[35])
         assert sigma < math.radians(5.0)

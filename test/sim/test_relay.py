@@ -2,25 +2,22 @@
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from itertools import count
 from typing import Any
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TwistStamped
+from graphs import RELIABLE, Graph, reliable
 from nav_msgs.msg import Odometry
 from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
+from ros_messages import imu_message, sensor_messages, stamp_of
 from sensor_msgs.msg import Imu
 
-from insdvl.messages.convert import stamp_ns
-from insdvl.messages.make import set_vector
+from insdvl.messages.refusals import Refused
 from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.frames import ENU
 from insdvl.parameters.declaration import ParameterError, build
@@ -28,28 +25,21 @@ from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import SCENARIOS
 from insdvl.simulation.trajectories import trajectory_named
 from insdvl.studies.faults.link import RelayParameters, links
-from ros_insdvl.conversions import time_of
 from ros_insdvl.filter import FilterNode
 from ros_insdvl_sim.relay import Relay
 
-RELIABLE = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
-DEADLINE = 120.0  # s; far beyond what any of these waits takes
 NUMBERS = count(1)
 KINDS = {"imu/data_raw": Imu, "dvl/velocity": TwistStamped}
 
 
-class Graph:
-    """A relay, perhaps a filter behind it, and a node at both ends; one executor turns all."""
+class RelayGraph(Graph):
+    """A relay, perhaps a filter behind it, and a node at both ends."""
 
     def __init__(self, relay: dict[str, Any] | None, filter_: dict[str, Any] | None = None) -> None:
         # Of its own: nodes of other graphs live on, or are still listed.
-        self.namespace = f"/graph_{next(NUMBERS)}"
-        self.context = Context()
-        self.context.init()
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.peer = self.add(Node("peer", namespace=self.namespace, context=self.context))
-        self.relay = None if relay is None else self.make(Relay, "sent/", relay)
-        self.filter = None if filter_ is None else self.make(FilterNode, "", filter_)
+        super().__init__(f"/graph_{next(NUMBERS)}")
+        self.relay = None if relay is None else self.with_inputs(Relay, "sent/", relay)
+        self.filter = None if filter_ is None else self.with_inputs(FilterNode, "", filter_)
         prefix = "" if relay is None else "sent/"
         self.publishers = {
             topic: self.peer.create_publisher(kind, prefix + topic, RELIABLE)
@@ -73,19 +63,9 @@ class Graph:
             )
         )
 
-    def add(self, node: Any) -> Any:
-        self.executor.add_node(node)
-        return node
-
-    def make(self, kind: Any, prefix: str, parameters: dict[str, Any]) -> Any:
-        qos = {
-            f"qos_overrides.{self.namespace}/{prefix}{topic}.subscription.reliability": "reliable"
-            for topic in KINDS
-        }
-        overrides = [Parameter(name, value=v) for name, v in {**qos, **parameters}.items()]
-        return self.add(
-            kind(namespace=self.namespace, context=self.context, parameter_overrides=overrides)
-        )
+    def with_inputs(self, kind: Any, prefix: str, parameters: dict[str, Any]) -> Any:
+        inputs = reliable(self.namespace, *(prefix + topic for topic in KINDS))
+        return self.make(kind, **inputs, **parameters)
 
     def listen(self, kind: Any, topic: str, *, raw: bool = False) -> None:
         received = self.received[topic] = []
@@ -95,12 +75,6 @@ class Graph:
             self.arrivals.append(time.monotonic())
 
         self.peer.create_subscription(kind, topic, keep, RELIABLE, raw=raw)
-
-    def until(self, condition: Callable[[], Any]) -> None:
-        start = time.monotonic()
-        while not condition():
-            assert time.monotonic() - start < DEADLINE
-            self.executor.spin_once(timeout_sec=0.1)
 
     def send(self, items: list[tuple[str, Any]]) -> None:
         """Publish in this order, a few at a time, until all has come through."""
@@ -128,40 +102,10 @@ class Graph:
             odometry = self.filter.outputs["odometry/filtered"]
             self.until(lambda: len(self.received["odometry/filtered"]) == odometry.count)
 
-    def close(self) -> None:
-        self.executor.shutdown()
-        for node in (self.relay, self.filter, self.peer):
-            if node is not None:
-                node.destroy_node()
-        self.context.shutdown()
-
 
 @pytest.fixture
-def graph() -> Iterator[Callable[..., Graph]]:
-    made: list[Graph] = []
-
-    def make(*arguments: Any) -> Graph:
-        made.append(Graph(*arguments))
-        return made[-1]
-
-    yield make
-    for each in made:
-        each.close()
-
-
-def imu_message(stamp: int, f_b: Any, w_ib_b: Any) -> Imu:
-    message = Imu()
-    message.header.stamp = time_of(stamp)
-    set_vector(message.linear_acceleration, f_b)
-    set_vector(message.angular_velocity, w_ib_b)
-    return message
-
-
-def dvl_message(stamp: int, v_d: Any) -> TwistStamped:
-    message = TwistStamped()
-    message.header.stamp = time_of(stamp)
-    set_vector(message.twist.linear, v_d)
-    return message
+def graph(managed: Any) -> Callable[..., RelayGraph]:
+    return lambda *arguments: managed(RelayGraph(*arguments))
 
 
 def samples(count: int) -> list[tuple[str, Any]]:
@@ -174,13 +118,8 @@ def samples(count: int) -> list[tuple[str, Any]]:
 
 def mission_items(mission: Mission) -> list[tuple[str, Any]]:
     """Topics and messages of a mission, by stamp."""
-    items: list[tuple[int, str, Any]] = []
-    rows = (mission.stamps_ns.tolist(), mission.f_b @ ENU.body, mission.w_ib_b @ ENU.body)
-    for stamp, f, w in zip(*rows, strict=True):
-        items.append((stamp, "imu/data_raw", imu_message(stamp, f, w)))
-    for stamp, v in zip(mission.dvl_stamps_ns.tolist(), mission.v_d @ ENU.body, strict=True):
-        items.append((stamp, "dvl/velocity", dvl_message(stamp, v)))
-    return [(topic, message) for _, topic, message in sorted(items, key=lambda item: item[0])]
+    items = sorted(sensor_messages(mission), key=lambda item: item[0])
+    return [(topic, message) for _, topic, message in items]
 
 
 def mission(duration: float) -> Mission:
@@ -227,17 +166,10 @@ def test_delay_is_waited_for(graph: Any) -> None:
 
 def test_diagnostics_tell_what_was_lost_and_doubled(graph: Any) -> None:
     g = graph({"loss": 0.2, "duplication": 0.2})
-    told: dict[str, str] = {}
-
-    def keep(message: DiagnosticArray) -> None:
-        for status in message.status:
-            if status.name == f"{g.namespace}/insdvl_relay: relay":
-                told.update({item.key: item.value for item in status.values})
-
-    g.peer.create_subscription(DiagnosticArray, "/diagnostics", keep, RELIABLE)
     g.send(samples(200))
-    told.clear()
-    g.until(lambda: told)
+    name = f"{g.namespace}/insdvl_relay"
+    g.until_reported(name, times=2)
+    told = g.diagnostics.report(name).values
     lost, doubled = g.relay.lost["imu/data_raw"], g.relay.doubled["imu/data_raw"]
     assert (told["lost imu/data_raw"], told["doubled imu/data_raw"]) == (str(lost), str(doubled))
     assert told["received sent/imu/data_raw"] == "200"
@@ -245,7 +177,7 @@ def test_diagnostics_tell_what_was_lost_and_doubled(graph: Any) -> None:
 
 
 def by_stamp(received: list[Odometry]) -> dict[int, bytes]:
-    return {stamp_ns(message.header): serialize_message(message) for message in received}
+    return {stamp_of(message): serialize_message(message) for message in received}
 
 
 def test_behind_duplication_and_reordering_the_filter_gives_the_same_bits(graph: Any) -> None:
@@ -266,7 +198,7 @@ def test_behind_duplication_and_reordering_the_filter_gives_the_same_bits(graph:
     assert len(expected) == 400
     assert by_stamp(behind.received["odometry/filtered"]) == expected
     assert behind.filter.rejected == {
-        f"{topic}: duplicate": count for topic, count in behind.relay.doubled.items()
+        Refused(topic, "duplicate"): count for topic, count in behind.relay.doubled.items()
     }
 
 
@@ -276,15 +208,15 @@ def test_behind_loss_the_missing_samples_are_told_and_the_velocity_stays_good(
 ) -> None:
     flown = mission(20.0)
     g = graph({"loss": loss}, FILTER)
-    told: list[str] = []
-
-    def keep(message: DiagnosticArray) -> None:
-        name = f"{g.namespace}/insdvl_filter: imu"
-        told.extend(status.message for status in message.status if status.name == name)
-
-    g.peer.create_subscription(DiagnosticArray, "/diagnostics", keep, RELIABLE)
     g.send(mission_items(flown))
-    g.until(lambda: any("% of the samples are missing" in message for message in told))
+
+    def told() -> bool:
+        return any(
+            change.cause == "imu" and "% of the samples are missing" in change.status.message
+            for change in g.diagnostics.changes
+        )
+
+    g.until(told)
     link = links(RelayParameters(loss=loss))["imu/data_raw"]
     arrived = np.array([bool(link.delays()) for _ in flown.stamps_ns])
     (there,) = np.nonzero(arrived)
@@ -297,7 +229,7 @@ def test_behind_loss_the_missing_samples_are_told_and_the_velocity_stays_good(
     assert counts["gaps"] == 0  # what is lost by chance is shorter than imu.max_gap
     received = g.received["odometry/filtered"]
     kept = flown.stamps_ns[arrived]
-    assert [stamp_ns(m.header) for m in received] == kept.tolist()
+    assert [stamp_of(m) for m in received] == kept.tolist()
     v = np.array([[getattr(m.twist.twist.linear, a) for a in "xyz"] for m in received])
     truth = np.einsum("kji,kj->ki", flown.truth.C_n_b, flown.truth.v_n)[arrived] @ ENU.body
     assert np.sqrt(np.mean(np.sum((v - truth) ** 2, axis=1))) < 0.3

@@ -3,19 +3,14 @@
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import TwistStamped
+from graphs import LATCHED, RELIABLE, Graph
 from nav_msgs.msg import Odometry
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
 
@@ -27,8 +22,7 @@ from insdvl.recordings.base import encode
 from insdvl.recordings.messages import imu_message, odometry_message, twist_message
 from ros_insdvl_sim.replay import Replay
 
-RELIABLE = QoSProfile(depth=2000, reliability=ReliabilityPolicy.RELIABLE)
-DEADLINE = 120.0  # s; far beyond what any of these waits takes
+DEADLINE = 300.0  # s; only a hang takes so long
 START_NS = 1_700_000_000 * NS
 SIZE = 300
 STEP_NS = 10_000_000
@@ -59,49 +53,16 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-class Graph:
-    """A node that listens, and the replay node; one executor turns both."""
+class ReplayGraph(Graph):
+    """A node that listens, and the replay node."""
 
-    def __init__(self) -> None:
-        self.context = Context()
-        self.context.init()
-        self.peer = Node("peer", context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.peer)
-        self.nodes: list[Node] = [self.peer]
-
-    def listen(
-        self, message_type: type[Any], topic: str, qos: QoSProfile = RELIABLE, raw: bool = True
-    ) -> list[Any]:
-        received: list[Any] = []
-        self.peer.create_subscription(message_type, topic, received.append, qos, raw=raw)
-        return received
-
-    def replay(self, **parameters: object) -> Replay:
-        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
-        node = Replay(context=self.context, parameter_overrides=overrides)
-        self.nodes.append(node)
-        self.executor.add_node(node)
-        return node
-
-    def until(self, condition: Callable[[], bool]) -> None:
-        start = time.monotonic()
-        while not condition():
-            assert time.monotonic() - start < DEADLINE
-            self.executor.spin_once(timeout_sec=0.1)
-
-    def close(self) -> None:
-        self.executor.shutdown()
-        for node in self.nodes:
-            node.destroy_node()
-        self.context.shutdown()
+    def replay(self, **parameters: Any) -> Replay:
+        return self.make(Replay, **parameters)
 
 
 @pytest.fixture
-def graph() -> Iterator[Graph]:
-    graph = Graph()
-    yield graph
-    graph.close()
+def graph(managed: Any) -> ReplayGraph:
+    return managed(ReplayGraph())
 
 
 def topics(bag: Path) -> dict[str, object]:
@@ -120,14 +81,13 @@ def recorded(bag: Path, topic: str) -> list[bytes]:
 
 
 def test_every_message_is_played_unchanged_and_in_order(
-    graph: Graph, bag: Path, capsys: pytest.CaptureFixture[str]
+    graph: ReplayGraph, bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     received = {
-        "/sensors/imu": graph.listen(Imu, "imu/data_raw"),
-        "/dvl": graph.listen(TwistStamped, "dvl/velocity"),
-        "/truth": graph.listen(Odometry, "ground_truth/odometry"),
-        "/process_noise": graph.listen(Imu, "process_noise", latched),
+        "/sensors/imu": graph.keep(Imu, "imu/data_raw", raw=True),
+        "/dvl": graph.keep(TwistStamped, "dvl/velocity", raw=True),
+        "/truth": graph.keep(Odometry, "ground_truth/odometry", raw=True),
+        "/process_noise": graph.keep(Imu, "process_noise", LATCHED, raw=True),
     }
     node = graph.replay(**topics(bag))
     assert set(node.outputs) == {
@@ -145,13 +105,13 @@ def test_every_message_is_played_unchanged_and_in_order(
 
 
 def test_the_pace_is_that_of_the_stamps_and_the_clock_never_runs_back(
-    graph: Graph, bag: Path
+    graph: ReplayGraph, bag: Path
 ) -> None:
     arrivals: list[float] = []
     graph.peer.create_subscription(
         Imu, "imu/data_raw", lambda message: arrivals.append(time.monotonic()), RELIABLE
     )
-    clock = graph.listen(Clock, "/clock", raw=False)
+    clock = graph.keep(Clock, "/clock")
     node = graph.replay(**(topics(bag) | {"rate_factor": 2.0}))
     last_ns = START_NS + (SIZE - 1) * STEP_NS
 
@@ -167,21 +127,21 @@ def test_the_pace_is_that_of_the_stamps_and_the_clock_never_runs_back(
     assert len(times) <= (arrivals[-1] - arrivals[0] + 1.0) / 0.02
 
 
-def test_without_a_rate_factor_there_is_no_clock(graph: Graph, bag: Path) -> None:
-    graph.listen(Imu, "imu/data_raw")
+def test_without_a_rate_factor_there_is_no_clock(graph: ReplayGraph, bag: Path) -> None:
+    graph.keep(Imu, "imu/data_raw", raw=True)
     node = graph.replay(**(topics(bag) | {"rate_factor": 0.0}))
     graph.until(lambda: node.outputs["imu/data_raw"].count > 0)
     assert graph.peer.count_publishers("/clock") == 0
 
 
-def test_nothing_is_sent_before_the_consumers_are_there(graph: Graph, bag: Path) -> None:
-    first = graph.listen(Imu, "imu/data_raw")
+def test_nothing_is_sent_before_the_consumers_are_there(graph: ReplayGraph, bag: Path) -> None:
+    first = graph.keep(Imu, "imu/data_raw", raw=True)
     node = graph.replay(**(topics(bag) | {"min_subscribers": 2}))
     graph.until(lambda: node.outputs["imu/data_raw"].listeners == 1)
     for _ in range(20):
         graph.executor.spin_once(timeout_sec=0.1)
     assert node.outputs["imu/data_raw"].count == 0
-    second = graph.listen(Imu, "imu/data_raw")
+    second = graph.keep(Imu, "imu/data_raw", raw=True)
     graph.until(lambda: len(first) == len(second) == SIZE)
 
 
@@ -197,7 +157,7 @@ def test_nothing_is_sent_before_the_consumers_are_there(graph: Graph, bag: Path)
     ],
 )
 def test_what_cannot_be_played_is_named(
-    graph: Graph, bag: Path, parameters: dict[str, object], expected: str
+    graph: ReplayGraph, bag: Path, parameters: dict[str, object], expected: str
 ) -> None:
     with pytest.raises(ParameterError, match=expected):
         graph.replay(**(topics(bag) | parameters))

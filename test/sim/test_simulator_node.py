@@ -5,21 +5,17 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TwistStamped
+from graphs import RELIABLE, Graph
 from nav_msgs.msg import Odometry
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from ros_messages import stamp_of
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
+from starts import Start, starts
 
 from insdvl.messages import convert as messages
 from insdvl.navigation.events import NS
@@ -36,42 +32,22 @@ TOPICS = {
     "ground_truth/odometry": Odometry,
     "ground_truth/process_noise": Imu,
 }
-RELIABLE = QoSProfile(depth=2000, reliability=ReliabilityPolicy.RELIABLE)
-DEADLINE = 120.0  # s; far beyond what any of these waits takes
+NODE = "/auv/insdvl_simulator"
+DEADLINE = 300.0  # s; only a hang takes so long
 FAST = {"rate_factor": 1000.0, "min_subscribers": 1, "duration": 4.0}
 
 
-class Graph:
-    """A node that listens, and simulators that it makes; one executor turns all."""
+class SimulatorGraph(Graph):
+    """A node that listens, and simulators that it makes."""
 
     def __init__(self) -> None:
-        self.context = Context()
-        self.context.init()
-        self.peer = Node("peer", namespace="/auv", context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.peer)
-        self.simulators: list[Simulator] = []
-        self.received: dict[str, list[Any]] = {topic: [] for topic in TOPICS}
-        for topic, message_type in TOPICS.items():
-            self.listen(message_type, topic, self.received[topic])
+        super().__init__("/auv")
+        self.received = {topic: self.keep(kind, topic) for topic, kind in TOPICS.items()}
 
-    def listen(self, message_type: type[Any], topic: str, into: list[Any]) -> object:
-        return self.peer.create_subscription(message_type, topic, into.append, RELIABLE)
+    def simulator(self, **parameters: Any) -> Simulator:
+        return self.make(Simulator, **parameters)
 
-    def simulator(self, **parameters: object) -> Simulator:
-        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
-        node = Simulator(namespace="/auv", context=self.context, parameter_overrides=overrides)
-        self.simulators.append(node)
-        self.executor.add_node(node)
-        return node
-
-    def until(self, condition: Callable[[], bool]) -> None:
-        start = time.monotonic()
-        while not condition():
-            assert time.monotonic() - start < DEADLINE
-            self.executor.spin_once(timeout_sec=0.1)
-
-    def play(self, **parameters: object) -> Simulator:
+    def play(self, **parameters: Any) -> Simulator:
         """Run a mission to its end, until all that was sent is here."""
         node = self.simulator(**parameters)
         self.until(node.finished.done)
@@ -89,22 +65,14 @@ class Graph:
             self.received[topic].clear()
         return taken
 
-    def close(self) -> None:
-        self.executor.shutdown()
-        for node in (*self.simulators, self.peer):
-            node.destroy_node()
-        self.context.shutdown()
-
 
 @pytest.fixture
-def graph():
-    graph = Graph()
-    yield graph
-    graph.close()
+def graph(managed):
+    return managed(SimulatorGraph())
 
 
 def stamps(received: list[Any]) -> list[int]:
-    return [messages.stamp_ns(message.header) for message in received]
+    return [stamp_of(message) for message in received]
 
 
 def content(message: Any) -> str:
@@ -235,8 +203,7 @@ def test_order_of_the_messages_of_one_stamp(graph):
 @pytest.mark.parametrize(("period", "most"), [(player.CLOCK_PERIOD, 402), (1e6, 2)])
 def test_clock_follows_the_stamps_and_keeps_its_period(graph, monkeypatch, period, most):
     monkeypatch.setattr(player, "CLOCK_PERIOD", period)
-    clocks: list[Clock] = []
-    graph.listen(Clock, "/clock", clocks)
+    clocks = graph.keep(Clock, "/clock")
     graph.play(**(FAST | {"rate_factor": 5.0}))
 
     def told() -> list[int]:
@@ -275,8 +242,7 @@ def test_waits_for_its_subscribers(graph):
     begin = time.monotonic()
     graph.until(lambda: time.monotonic() - begin > 2.0 * player.SETTLE_TIME)
     assert not any(graph.received.values())
-    late: list[Imu] = []
-    graph.listen(Imu, "imu/data_raw", late)
+    late = graph.keep(Imu, "imu/data_raw")
     graph.until(lambda: len(late) == 400)
     assert stamps(late)[0] == 10_000_000
 
@@ -305,7 +271,7 @@ def test_tells_what_it_sent(graph, capsys):
 
 
 def test_what_did_not_arrive_is_an_error(graph, capsys, monkeypatch):
-    monkeypatch.setattr("ros_insdvl.node.Output.acknowledged", lambda self, timeout: False)
+    monkeypatch.setattr("ros_insdvl.endpoints.Output.acknowledged", lambda self, timeout: False)
     monkeypatch.setattr(player, "ACKNOWLEDGE_TIME", 0.01)
     node = graph.simulator(**(FAST | {"duration": 1.0}))
     graph.until(node.finished.done)
@@ -325,17 +291,15 @@ def test_a_failure_while_playing_ends_the_node(graph, capsys, monkeypatch):
 
 
 def test_diagnostics(graph):
-    told: list[DiagnosticArray] = []
-    graph.listen(DiagnosticArray, "/diagnostics", told)
-    node = graph.simulator(trajectory="loop")
+    node = graph.simulator()
 
     def values() -> dict[str, str]:
-        return {v.key: v.value for v in told[-1].status[0].values} if told else {}
+        return graph.diagnostics.report(NODE).values
 
     graph.until(lambda: int(values().get("sent imu/data_raw", 0)) > 0)
-    assert told[-1].status[0].name == "/auv/insdvl_simulator: mission"
+    assert next(iter(graph.diagnostics.report(NODE).statuses)) == "mission"
     assert float(values()["mission time [s]"]) > 0.0
-    assert float(values()["mission duration [s]"]) == 3600.0
+    assert float(values()["mission duration [s]"]) == 330.0
     assert node.outputs["imu/data_raw"].count >= int(values()["sent imu/data_raw"])
 
 
@@ -368,16 +332,22 @@ def start(*parameters: str) -> "subprocess.Popen[str]":
     )
 
 
-@pytest.mark.parametrize(
-    ("parameter", "named"),
-    [("sead:=3", "sead"), ("seed:=one", "seed"), ("imu.rate:=0.0", "imu.rate")],
-)
-def test_process_with_a_wrong_parameter(parameter, named):
-    out, err = (process := start(parameter)).communicate(timeout=DEADLINE)
-    assert process.returncode == 2
-    assert f"'{named}'" in err
-    assert "Traceback" not in err
-    assert out == ""
+WRONG = [("sead:=3", "sead"), ("seed:=one", "seed"), ("imu.rate:=0.0", "imu.rate")]
+
+
+@pytest.fixture(scope="module")
+def started() -> list[Start]:
+    """The simulator, started with each of the wrong parameters."""
+    arguments = [["-p", parameter] for parameter, _ in WRONG]
+    return starts("ros_insdvl_sim.simulator", "Simulator", arguments)
+
+
+@pytest.mark.parametrize("k", range(len(WRONG)), ids=[named for _, named in WRONG])
+def test_a_start_with_a_wrong_parameter(started, k):
+    assert started[k].code == 2
+    assert f"'{WRONG[k][1]}'" in started[k].err
+    assert "Traceback" not in started[k].err
+    assert started[k].out == ""
 
 
 def test_process_plays_to_the_end(graph):
@@ -389,7 +359,7 @@ def test_process_plays_to_the_end(graph):
 
 
 def test_process_ends_cleanly_on_a_double_interrupt(graph):
-    process = start("trajectory:=loop", "min_subscribers:=1")
+    process = start("min_subscribers:=1")
     graph.until(lambda: len(graph.received["imu/data_raw"]) > 20)
     process.send_signal(signal.SIGINT)
     process.send_signal(signal.SIGINT)

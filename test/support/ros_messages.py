@@ -7,10 +7,12 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Imu
 
 from insdvl.messages.convert import stamp_ns
+from insdvl.messages.make import set_quaternion, set_vector
+from insdvl.messages.topics import DVL, IMU
 from insdvl.navigation.events import NS
-from insdvl.navigation.geometry.frames import ENU
+from insdvl.simulation.messages import StreamFormat, dvl_messages, imu_messages
 from insdvl.simulation.mission import Mission
-from ros_insdvl.conversions import set_quaternion, set_vector, time_of
+from ros_insdvl.conversions import time_of
 
 STEP_NS = NS // 100
 
@@ -55,11 +57,10 @@ def odometry_message(stamp: int, position: Any = (0.0, 0.0, 0.0)) -> Odometry:
 
 def sensor_messages(m: Mission, dvl_shift_ns: int = 0) -> list[tuple[int, str, Any]]:
     """Stamps, topics and messages of a mission's IMU and DVL."""
-    items: list[tuple[int, str, Any]] = []
-    rows = (m.stamps_ns.tolist(), m.f_b @ ENU.body, m.w_ib_b @ ENU.body)
-    for stamp, f, w in zip(*rows, strict=True):
-        items.append((stamp, "imu/data_raw", imu_message(stamp, f, w)))
-    for stamp, v in zip(m.dvl_stamps_ns.tolist(), m.v_d @ ENU.body, strict=True):
-        shifted = stamp + dvl_shift_ns
-        items.append((shifted, "dvl/velocity", dvl_message(shifted, v)))
-    return items
+    kinds = {IMU: Imu, DVL: TwistStamped}
+
+    def new(topic: str) -> Any:
+        return kinds[topic]()
+
+    shifted = StreamFormat(start_ns=dvl_shift_ns)
+    return [*imu_messages(m, new), *dvl_messages(m, new, shifted)]

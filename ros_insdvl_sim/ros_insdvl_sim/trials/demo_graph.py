@@ -8,7 +8,6 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -18,26 +17,32 @@ from rclpy.parameter import Parameter
 from scipy.spatial.transform import Rotation
 
 from insdvl import files
+from insdvl.messages import convert
+from insdvl.messages.topics import (
+    BY_NAME,
+    DVL,
+    DVL_WITH_COVARIANCE,
+    IMU,
+    PROCESS_NOISE,
+    TRUE_PROCESS_NOISE,
+    TRUTH,
+)
 from insdvl.navigation.geometry.frames import ENU, rpy_from_rotation
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.recordings.bag_writer import BagWriter
 from insdvl.recordings.base import Raw
 from insdvl.simulation.trajectories import trajectory_named
+from ros_insdvl.conversions import message_class
 from ros_insdvl.monitor import Monitor
 from ros_insdvl_sim.trials.environment import TrialError
 from ros_insdvl_sim.trials.names import (
     BIAS,
-    DVL,
     FILTER,
-    IMU,
     INNOVATION,
     ODOMETRY,
     SIMULATOR,
-    TRUE_Q,
-    TRUTH,
     TUNER,
     TUNER_NODE,
-    Q,
 )
 from ros_insdvl_sim.trials.processes import Processes, lossless, sent_by
 from ros_insdvl_sim.trials.witness import Witness
@@ -52,19 +57,19 @@ CONSUMER_NODES = (TUNER_NODE, *FILTER_NODES.values())
 OUTPUT_DELAY = 2.0  # s, of the filters' odometry
 QUIET_REPORTS = 6  # of each node without any new message, after which the rest is lost
 
+#: Type of each recorded topic.
 RECORDED = {
-    f"/{IMU}": "sensor_msgs/msg/Imu",
-    f"/{DVL}": "geometry_msgs/msg/TwistStamped",
-    f"/{Q}": "sensor_msgs/msg/Imu",
-    f"/{TRUTH}": "nav_msgs/msg/Odometry",
-    f"/{TRUE_Q}": "sensor_msgs/msg/Imu",
+    **{
+        f"/{topic}": BY_NAME[topic].types[0]
+        for topic in (IMU, DVL, PROCESS_NOISE, TRUTH, TRUE_PROCESS_NOISE)
+    },
     **{
         f"{namespace}/{topic}": kind
         for namespace in FILTERS
         for topic, kind in (
-            (ODOMETRY, "nav_msgs/msg/Odometry"),
-            (BIAS, "sensor_msgs/msg/Imu"),
-            (INNOVATION, "geometry_msgs/msg/TwistWithCovarianceStamped"),
+            (ODOMETRY, convert.ODOMETRY),
+            (BIAS, convert.IMU),
+            (INNOVATION, convert.TWIST_WITH_COVARIANCE),
         )
     },
 }
@@ -109,7 +114,7 @@ def initial_parameters(seed: int) -> dict[str, Any]:
 def start_consumers(processes: Processes, out: Path, initial: Mapping[str, Any]) -> None:
     """Start the tuner and both filters; their parameters are saved for `insdvl replay`."""
     processes.start("tuner", TUNER, lossless(f"/{IMU}"))
-    shared = (IMU, DVL, "dvl/velocity_cov", Q)
+    shared = (IMU, DVL, DVL_WITH_COVARIANCE, PROCESS_NOISE)
     remaps = {topic: f"/{topic}" for topic in shared}
     for namespace, source in zip(FILTERS, ("constant", "external"), strict=True):
         name = namespace.strip("/")
@@ -185,13 +190,11 @@ class Listener:
                 self._record(writer, topic, kind)
 
     def _record(self, writer: BagWriter, topic: str, kind: str) -> None:
-        package, _, name = kind.split("/")
-
         def write(data: bytes) -> None:
             writer.write(Raw(topic, kind, time.time_ns(), data))
             self.recorded[topic] += 1
 
-        self._witness.hear(getattr(import_module(f"{package}.msg"), name), topic, write)
+        self._witness.hear(message_class(kind), topic, write)
 
     def counts(self, sent: Mapping[str, int]) -> list[Count]:
         """Messages sent and received.
@@ -203,19 +206,19 @@ class Listener:
 
     def _counts(self, sent: Mapping[str, int]) -> Iterator[Count]:
         reported = self._witness.diagnostics.count
-        q_sent = reported(TUNER_NODE, f"sent {Q}")
+        q_sent = reported(TUNER_NODE, f"sent {PROCESS_NOISE}")
         yield Count("tuner", IMU, sent[IMU], reported(TUNER_NODE, f"received {IMU}"))
         for name, node in FILTER_NODES.items():
             for topic in (IMU, DVL):
                 yield Count(
                     f"{name} filter", topic, sent[topic], reported(node, f"received {topic}")
                 )
-        learned = reported(FILTER_NODES["/learned"], f"received {Q}")
-        yield Count("/learned filter", Q, q_sent, learned)
+        learned = reported(FILTER_NODES["/learned"], f"received {PROCESS_NOISE}")
+        yield Count("/learned filter", PROCESS_NOISE, q_sent, learned)
         received = self.monitor.received
-        for topic in (TRUTH, TRUE_Q):
+        for topic in (TRUTH, TRUE_PROCESS_NOISE):
             yield Count("demo", topic, sent[topic], received[topic])
-        yield Count("demo", Q, q_sent, received[Q])
+        yield Count("demo", PROCESS_NOISE, q_sent, received[PROCESS_NOISE])
         for name, node in FILTER_NODES.items():
             topic = f"{name}/{ODOMETRY}"
             yield Count("demo", topic, reported(node, f"sent {ODOMETRY}"), received[topic])
@@ -225,7 +228,7 @@ class Listener:
                 of_node = topic.removeprefix(f"{owner}/")
                 all_sent = reported(FILTER_NODES[owner], f"sent {of_node}")
             else:
-                all_sent = q_sent if topic == f"/{Q}" else sent[topic.lstrip("/")]
+                all_sent = q_sent if topic == f"/{PROCESS_NOISE}" else sent[topic.lstrip("/")]
             yield Count("recording", topic, all_sent, recorded)
 
 

@@ -1,4 +1,4 @@
-"""Names in the graph of a trial: executables, nodes and topics."""
+"""Names in the graph of a trial: executables, nodes, and topics that only nodes publish."""
 
 #: Package and executable.
 FILTER, TUNER = ("ros_insdvl", "filter"), ("ros_insdvl", "tuner")
@@ -6,6 +6,4 @@ SIMULATOR, RELAY = ("ros_insdvl_sim", "simulator"), ("ros_insdvl_sim", "relay")
 
 FILTER_NODE, TUNER_NODE, RELAY_NODE = "/insdvl_filter", "/insdvl_tuner", "/insdvl_relay"
 
-IMU, DVL, Q = "imu/data_raw", "dvl/velocity", "process_noise"
-TRUTH, TRUE_Q = "ground_truth/odometry", "ground_truth/process_noise"
 ODOMETRY, INNOVATION, BIAS = "odometry/filtered", "dvl/innovation", "imu/bias"

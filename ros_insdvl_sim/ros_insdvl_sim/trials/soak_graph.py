@@ -14,20 +14,17 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Imu
 
 from insdvl.arrays import Array
+from insdvl.messages.topics import DVL, IMU, PROCESS_NOISE, TRUTH
 from insdvl.navigation.events import NS
 from insdvl.studies.faults import soak
 from ros_insdvl_sim.trials.names import (
-    DVL,
     FILTER,
     FILTER_NODE,
-    IMU,
     INNOVATION,
     ODOMETRY,
     SIMULATOR,
-    TRUTH,
     TUNER,
     TUNER_NODE,
-    Q,
 )
 from ros_insdvl_sim.trials.processes import Processes, lossless, sent_by
 from ros_insdvl_sim.trials.witness import Witness, stamp_of
@@ -54,7 +51,7 @@ class Recorder:
         witness.hear(Odometry, TRUTH, self._on_truth)
         witness.hear(Odometry, ODOMETRY, self._on_odometry)
         witness.hear(TwistWithCovarianceStamped, INNOVATION, self._on_innovation)
-        witness.hear(Imu, Q, lambda data: None)
+        witness.hear(Imu, PROCESS_NOISE, lambda data: None)
 
     def clear(self) -> None:
         """Begin a leg."""
@@ -206,9 +203,9 @@ class Graph:
         return {
             "filter imu": value(FILTER_NODE, f"received {IMU}"),
             "filter dvl": value(FILTER_NODE, f"received {DVL}"),
-            "filter q": value(FILTER_NODE, f"received {Q}"),
+            "filter q": value(FILTER_NODE, f"received {PROCESS_NOISE}"),
             "tuner imu": value(TUNER_NODE, f"received {IMU}"),
-            "tuner q": value(TUNER_NODE, f"sent {Q}"),
+            "tuner q": value(TUNER_NODE, f"sent {PROCESS_NOISE}"),
             "filter odometry": value(FILTER_NODE, f"sent {ODOMETRY}"),
             "heard odometry": heard[ODOMETRY],
             "heard truth": heard[TRUTH],
@@ -219,7 +216,7 @@ class Graph:
         rows = [
             ("filter", IMU, sent[IMU], counts["filter imu"]),
             ("filter", DVL, sent[DVL], counts["filter dvl"]),
-            ("filter", Q, counts["tuner q"], counts["filter q"]),
+            ("filter", PROCESS_NOISE, counts["tuner q"], counts["filter q"]),
             ("tuner", IMU, sent[IMU], counts["tuner imu"]),
             ("witness", ODOMETRY, counts["filter odometry"], counts["heard odometry"]),
             ("witness", TRUTH, sent[TRUTH], counts["heard truth"]),

@@ -148,13 +148,13 @@ class Witness:
         Raises:
             TrialError: The nodes do not report.
         """
-        last: Any = None
+        last: Any = object()  # no state yet
         wanted: dict[str, int] = {}
         deadline = time.monotonic() + PATIENCE
         while not done():
             counts = {node: self.diagnostics.report(node).count for node in nodes}
             now = state()
-            if not wanted or now != last:
+            if now != last:
                 last, deadline = now, time.monotonic() + PATIENCE
                 wanted = {node: count + reports for node, count in counts.items()}
             elif all(counts[node] >= count for node, count in wanted.items()):

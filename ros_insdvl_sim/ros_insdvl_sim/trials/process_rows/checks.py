@@ -2,8 +2,9 @@
 
 from collections.abc import Callable
 
+from insdvl.messages.topics import IMU
 from insdvl.studies.faults.expectation import Check
-from ros_insdvl_sim.trials.names import FILTER_NODE, IMU, RELAY_NODE
+from ros_insdvl_sim.trials.names import FILTER_NODE, RELAY_NODE
 from ros_insdvl_sim.trials.process_rows.flight import LiveFlight
 from ros_insdvl_sim.trials.process_rows.judgement import Flown, samples_without_output
 

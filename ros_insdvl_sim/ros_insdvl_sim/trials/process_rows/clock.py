@@ -14,7 +14,7 @@ from ros_insdvl_sim.trials.process_rows.checks import (
 )
 from ros_insdvl_sim.trials.process_rows.flight import DURATION, START_S, LiveFlight
 from ros_insdvl_sim.trials.process_rows.judgement import Flown
-from ros_insdvl_sim.trials.process_rows.row import AFTER, GROUP_PROCESSES, Row
+from ros_insdvl_sim.trials.process_rows.row import AFTER, PROCESSES, LiveRow
 from ros_insdvl_sim.trials.process_rows.steps import finish, start_filter, start_simulator
 from ros_insdvl_sim.trials.witness import stamp_of
 
@@ -51,8 +51,8 @@ def _filter_clock_stands(flown: Flown) -> tuple[str, bool]:
 
 
 ROWS = (
-    Row(
-        GROUP_PROCESSES,
+    LiveRow(
+        PROCESSES,
         "use_sim_time is set and there is no /clock",
         (
             start_filter(),
@@ -63,8 +63,8 @@ ROWS = (
         (every_sample_in_the_output(),),
         parameters=SIM_TIME,
     ),
-    Row(
-        GROUP_PROCESSES,
+    LiveRow(
+        PROCESSES,
         "use_sim_time is set and /clock stops at 20 s, the sensors go on",
         (
             _stop_clock,

@@ -11,21 +11,19 @@ from typing import Any, NamedTuple
 
 from nav_msgs.msg import Odometry
 
+from insdvl.messages.topics import DVL, IMU, TRUTH
 from insdvl.navigation.events import NS
 from insdvl.parameters.declaration import flatten
 from insdvl.studies.faults.flight import parameters_of
 from insdvl.studies.faults.stream import Sensors, stream_of
 from ros_insdvl.status.heard import OK, Change
 from ros_insdvl_sim.trials.names import (
-    DVL,
     FILTER,
     FILTER_NODE,
-    IMU,
     ODOMETRY,
     RELAY,
     RELAY_NODE,
     SIMULATOR,
-    TRUTH,
     TUNER,
     TUNER_NODE,
 )

@@ -6,12 +6,12 @@ import signal
 import time
 from pathlib import Path
 
+from insdvl.messages.topics import IMU
 from insdvl.studies.faults.expectation import Check
-from ros_insdvl_sim.trials.names import IMU
 from ros_insdvl_sim.trials.process_rows.checks import error_below, lost_of_all_sent
 from ros_insdvl_sim.trials.process_rows.flight import LiveFlight, Step
 from ros_insdvl_sim.trials.process_rows.judgement import Flown
-from ros_insdvl_sim.trials.process_rows.row import AFTER, GROUP_PROCESSES, Row
+from ros_insdvl_sim.trials.process_rows.row import AFTER, PROCESSES, LiveRow
 from ros_insdvl_sim.trials.process_rows.steps import (
     at,
     complaint,
@@ -131,8 +131,8 @@ def _line_about_the_log(flown: Flown) -> tuple[str, bool]:
 
 
 ROWS = (
-    Row(
-        GROUP_PROCESSES,
+    LiveRow(
+        PROCESSES,
         "three filters killed with SIGKILL, their shared memory left over",
         (_kill_three_filters, start_filter(), start_simulator(), finish()),
         (
@@ -144,8 +144,8 @@ ROWS = (
         end=10.0,
         lost=lost_of_all_sent,
     ),
-    Row(
-        GROUP_PROCESSES,
+    LiveRow(
+        PROCESSES,
         "the folder of the state file is gone from 15 s to 30 s",
         (_keep_state_in("states"), *_without_state_file(_move_folder_away, _make_folder_again)),
         STATE_FILE_CHECKS,
@@ -153,8 +153,8 @@ ROWS = (
         end=30.0,
         lost=lost_of_all_sent,
     ),
-    Row(
-        GROUP_PROCESSES,
+    LiveRow(
+        PROCESSES,
         "from 15 s to 30 s no file of the filter can grow, as on a full disk",
         (
             _keep_state_in("states"),
@@ -167,8 +167,8 @@ ROWS = (
         end=30.0,
         lost=lost_of_all_sent,
     ),
-    Row(
-        GROUP_PROCESSES,
+    LiveRow(
+        PROCESSES,
         "the folder of the logs cannot be made",
         (
             start_filter(environment={"ROS_LOG_DIR": "/dev/null/log"}),

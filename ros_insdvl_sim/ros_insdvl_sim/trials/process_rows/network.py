@@ -3,8 +3,9 @@
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu
 
+from insdvl.messages.topics import IMU
 from insdvl.studies.faults.expectation import Check
-from ros_insdvl_sim.trials.names import IMU, RELAY_NODE
+from ros_insdvl_sim.trials.names import RELAY_NODE
 from ros_insdvl_sim.trials.process_rows.checks import (
     complained,
     error_below,
@@ -15,7 +16,7 @@ from ros_insdvl_sim.trials.process_rows.checks import (
 )
 from ros_insdvl_sim.trials.process_rows.flight import DURATION, LiveFlight, live_flight
 from ros_insdvl_sim.trials.process_rows.judgement import Flown
-from ros_insdvl_sim.trials.process_rows.row import AFTER, GROUP_NETWORK, Row
+from ros_insdvl_sim.trials.process_rows.row import AFTER, NETWORK, LiveRow
 from ros_insdvl_sim.trials.process_rows.steps import (
     THROUGH_RELAY,
     complaint,
@@ -48,9 +49,9 @@ def _all_that_arrives(flown: Flown) -> tuple[str, bool]:
     return seen, published == passed == flight.count(f"received {IMU}")
 
 
-def _lossy(loss: float, *, short: bool = False) -> Row:
-    return Row(
-        GROUP_NETWORK,
+def _lossy(loss: float, *, short: bool = False) -> LiveRow:
+    return LiveRow(
+        NETWORK,
         f"relay: {100.0 * loss:g} % of the messages lost",
         (start_relay(loss=loss), start_filter(), start_simulator(remaps=THROUGH_RELAY), finish()),
         (
@@ -91,8 +92,8 @@ def _lost_behind_the_relay(flight: LiveFlight) -> int:
 
 
 ROWS = (
-    Row(
-        GROUP_NETWORK,
+    LiveRow(
+        NETWORK,
         "QoS: a best-effort IMU, and the filter asks for reliable",
         (
             start_filter(),
@@ -114,8 +115,8 @@ ROWS = (
     _lossy(0.001),
     _lossy(0.01),
     _lossy(0.1, short=True),
-    Row(
-        GROUP_NETWORK,
+    LiveRow(
+        NETWORK,
         "relay: 20 % doubled, all delayed by 20 to 120 ms of the wall and reordered",
         (
             start_relay(duplication=0.2, delay=0.02, jitter=0.1),

@@ -2,13 +2,14 @@
 
 import signal
 
+from insdvl.messages.topics import IMU
 from insdvl.studies.faults.expectation import Check
 from insdvl.studies.faults.rows.base import LEVELLING
-from ros_insdvl_sim.trials.names import FILTER, IMU
+from ros_insdvl_sim.trials.names import FILTER
 from ros_insdvl_sim.trials.process_rows.checks import complained, error_below, lost_in_life
 from ros_insdvl_sim.trials.process_rows.flight import LiveFlight, Restart
 from ros_insdvl_sim.trials.process_rows.judgement import Flown, first_sigmas
-from ros_insdvl_sim.trials.process_rows.row import AFTER, GROUP_PROCESSES, Row
+from ros_insdvl_sim.trials.process_rows.row import AFTER, PROCESSES, LiveRow
 from ros_insdvl_sim.trials.process_rows.steps import (
     at,
     complaint,
@@ -108,8 +109,8 @@ def _all_end_cleanly(flown: Flown) -> tuple[str, bool]:
 
 
 ROWS = (
-    Row(
-        GROUP_PROCESSES,
+    LiveRow(
+        PROCESSES,
         "the filter is killed at 30 s and started again, with a state file",
         (
             lambda flight: flight.parameters.update(state_file=str(flight.folder / "state")),
@@ -125,8 +126,8 @@ ROWS = (
         ),
         lost=lost_in_life(),
     ),
-    Row(
-        GROUP_PROCESSES,
+    LiveRow(
+        PROCESSES,
         "the filter is killed at 30 s and started again, without a state file",
         (start_filter(), start_simulator(), restart_filter(30.0, 35.0), finish()),
         (
@@ -136,8 +137,8 @@ ROWS = (
         lost=lost_in_life(),
         parameters=LEVELLING,
     ),
-    Row(
-        GROUP_PROCESSES,
+    LiveRow(
+        PROCESSES,
         "the simulator is killed at 45 s and started again: stamps jump back",
         (
             start_filter(),
@@ -161,8 +162,8 @@ ROWS = (
         lost=lost_in_life(),
         parameters=LEVELLING,
     ),
-    Row(
-        GROUP_PROCESSES,
+    LiveRow(
+        PROCESSES,
         "a second filter of the same name for some seconds",
         (
             start_filter(),
@@ -183,8 +184,8 @@ ROWS = (
             ),
         ),
     ),
-    Row(
-        GROUP_PROCESSES,
+    LiveRow(
+        PROCESSES,
         "SIGTERM, SIGINT, and SIGINT twice, under load",
         (_end_filters,),
         (Check("ends with 0 and without a traceback", _all_end_cleanly),),

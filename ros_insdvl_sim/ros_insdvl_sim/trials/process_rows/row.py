@@ -1,7 +1,7 @@
-"""A row of processes or networks: the fault as steps, and what is expected.
+"""A row of processes or networks: the fault as steps, flown and judged.
 
-The language is that of the rows of messages (`insdvl.studies.faults.rows`): a name, a change,
-checks and the time of the fault. There the change edits messages, here it acts on processes.
+It is a row of the fault matrix as those of messages are (`insdvl.studies.faults.row`). There the
+change edits messages, here it acts on processes.
 """
 
 from collections.abc import Callable, Mapping
@@ -10,38 +10,31 @@ from types import MappingProxyType
 from typing import Any
 
 from insdvl.studies.faults.expectation import Check
+from insdvl.studies.faults.row import Row
 from ros_insdvl_sim.trials.process_rows.flight import DURATION, LiveFlight, Step, live_flight
 from ros_insdvl_sim.trials.process_rows.judgement import Flown
 
 AFTER = 10.0  # s of the mission, from the end of a fault, until its consequences should be over
 
-#: Parts of the page.
-GROUP_PROCESSES, GROUP_NETWORK = "Processes", "Network"
+#: Groups of the rows.
+PROCESSES, NETWORK = "Processes", "Network"
 
 NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
-class Row:
-    """A fault and what is expected.
+class LiveRow(Row[tuple[Step, ...], Flown]):
+    """A fault of processes or networks; the change is the mission with it, step by step.
 
     Attributes:
-        group: Part of the page.
-        name: What happens, in words.
-        change: The mission and the fault in it, step by step.
-        checks: What is expected, beside what always holds.
-        begin: Of the fault [s of the mission]. None: no errors are judged, unless the filter was
-            restarted: then the fault lasts from the last output to the next.
-        end: Of the fault [s of the mission].
+        begin: Beginning of the fault [s of the mission]. None: no errors are judged, unless the
+            filter was restarted: then the fault lasts from the last output to the next.
+        end: End of the fault [s of the mission].
         lost: Number of valid messages that are in no output.
-        parameters: Of the filter, on top of those that fit the mission.
+        parameters: Parameters of the filter, on top of those that fit the mission.
         short: Whether the short form has the row.
     """
 
-    group: str
-    name: str
-    change: tuple[Step, ...]
-    checks: tuple[Check[Flown], ...]
     begin: float | None = None
     end: float | None = None
     lost: Callable[[LiveFlight], int] = lambda flight: 0
@@ -57,8 +50,8 @@ class Row:
         return self.begin, self.end
 
 
-def judged(row: Row, rate_factor: float) -> dict[str, Any]:
-    """A row, flown and judged; one that cannot be flown to its end is not met, and says why."""
+def judged(row: LiveRow, rate_factor: float) -> dict[str, Any]:
+    """Fly a row and judge it; one that cannot be flown to its end is not met, and says why."""
     with live_flight(rate_factor, row.parameters) as flight:
         try:
             for step in row.change:
@@ -70,19 +63,19 @@ def judged(row: Row, rate_factor: float) -> dict[str, Any]:
             return _result(row, [check], 0, {})
 
 
-def _document(row: Row, flight: LiveFlight) -> dict[str, Any]:
+def _document(row: LiveRow, flight: LiveFlight) -> dict[str, Any]:
     flown = Flown(flight, row.window(flight))
-    checks = [check.document(flown) for check in row.checks]
     if flown.fault is None:
-        return _result(row, checks, 0, {})
+        return _result(row, row.judged_checks(flown), 0, {})
     errors, lost = flown.errors, row.lost(flight)
-    for text, met in (
-        ("output finite", errors.finite),
-        ("stamps rising", errors.rising),
-        ("no valid message lost", lost == 0),
-    ):
-        seen = text if met else f"not: {text}"
-        checks.append({"expected": text, "seen": seen, "met": met, "always": True})
+    checks = row.judged_checks(
+        flown,
+        (
+            _always("output finite", errors.finite),
+            _always("stamps rising", errors.rising),
+            _always("no valid message lost", lost == 0),
+        ),
+    )
     begin, end = flown.fault
     numbers = {
         "error_during": errors.rms(begin, end),
@@ -92,8 +85,13 @@ def _document(row: Row, flight: LiveFlight) -> dict[str, Any]:
     return _result(row, checks, lost, numbers)
 
 
+def _always(text: str, met: bool) -> Check[Flown]:
+    """What holds under every fault."""
+    return Check(text, lambda flown: (text if met else f"not: {text}", met))
+
+
 def _result(
-    row: Row, checks: list[dict[str, Any]], lost: int, numbers: Mapping[str, float | None]
+    row: LiveRow, checks: list[dict[str, Any]], lost: int, numbers: Mapping[str, float | None]
 ) -> dict[str, Any]:
     """As JSON takes it."""
     return {

@@ -5,8 +5,8 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from insdvl.messages.topics import DVL, IMU
 from insdvl.navigation.events import NS
-from ros_insdvl_sim.trials.names import DVL, IMU
 from ros_insdvl_sim.trials.process_rows.flight import START_S, LiveFlight, Restart, Step
 
 

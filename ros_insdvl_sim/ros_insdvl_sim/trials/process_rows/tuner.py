@@ -1,12 +1,13 @@
 """Rows of the tuner: it dies, comes late, cannot start, floods."""
 
+from insdvl.messages.topics import PROCESS_NOISE
 from insdvl.studies.faults.expectation import Check
 from ros_insdvl.status.heard import WARN
-from ros_insdvl_sim.trials.names import FILTER_NODE, TUNER, TUNER_NODE, Q
+from ros_insdvl_sim.trials.names import FILTER_NODE, TUNER, TUNER_NODE
 from ros_insdvl_sim.trials.process_rows.checks import counted, error_below, lost_of_all_sent
 from ros_insdvl_sim.trials.process_rows.flight import DURATION, LiveFlight
 from ros_insdvl_sim.trials.process_rows.judgement import Flown
-from ros_insdvl_sim.trials.process_rows.row import AFTER, GROUP_PROCESSES, Row
+from ros_insdvl_sim.trials.process_rows.row import AFTER, PROCESSES, LiveRow
 from ros_insdvl_sim.trials.process_rows.steps import (
     at,
     complaint,
@@ -47,17 +48,20 @@ def _ended_with_a_line(flown: Flown) -> tuple[str, bool]:
 
 def _every_q_is_used(flown: Flown) -> tuple[str, bool]:
     flight = flown.flight
-    sent, arrived = flight.count(f"sent {Q}", TUNER_NODE), flight.count(f"received {Q}")
+    sent, arrived = (
+        flight.count(f"sent {PROCESS_NOISE}", TUNER_NODE),
+        flight.count(f"received {PROCESS_NOISE}"),
+    )
     values = flight.witness.diagnostics.report(FILTER_NODE).values
-    prefix = f"rejected {Q}: "
+    prefix = f"rejected {PROCESS_NOISE}: "
     refused = sum(int(value) for key, value in values.items() if key.startswith(prefix))
     seen = f"{arrived} of {sent} arrived, {refused} were refused"
     return seen, arrived == sent > 5000 and not refused
 
 
 ROWS = (
-    Row(
-        GROUP_PROCESSES,
+    LiveRow(
+        PROCESSES,
         "the tuner is killed at 20 s and started again at 35 s",
         (
             start_tuner(),
@@ -84,8 +88,8 @@ ROWS = (
         lost=lost_of_all_sent,
         parameters=EXTERNAL,
     ),
-    Row(
-        GROUP_PROCESSES,
+    LiveRow(
+        PROCESSES,
         "the tuner starts 20 s late",
         (
             start_filter(),
@@ -107,14 +111,14 @@ ROWS = (
         lost=lost_of_all_sent,
         parameters=EXTERNAL,
     ),
-    Row(
-        GROUP_PROCESSES,
+    LiveRow(
+        PROCESSES,
         "the tuner has a wrong model",
         (_start_with_a_wrong_model, wait_for_end("tuner")),
         (Check("it ends with 1 and a line that names the model", _ended_with_a_line),),
     ),
-    Row(
-        GROUP_PROCESSES,
+    LiveRow(
+        PROCESSES,
         "the tuner floods: a Q with every sample",
         (start_tuner(rate=100.0), start_filter(), start_simulator(subscribers=2), finish()),
         (
@@ -124,6 +128,6 @@ ROWS = (
         begin=5.0,
         end=DURATION - AFTER - 5.0,
         lost=lost_of_all_sent,
-        parameters={**EXTERNAL, **lossless(f"/{Q}")},
+        parameters={**EXTERNAL, **lossless(f"/{PROCESS_NOISE}")},
     ),
 )
