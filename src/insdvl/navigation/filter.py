@@ -353,7 +353,8 @@ class Filter:
         """
         s, model, gate = state[0], self.models[event.name], self._gates[event.name]
         memory, stamp_ns = s["gate"][event.name], event.stamp_ns
-        reason = model.refusal(event, self._repeats(memory, model.reading(event)))
+        repeats = self._repeats(memory, model.reading(event))
+        reason = model.refusal(event, repeats, contradicted=bool(memory["rejections"]))
         if not s["nav"]["initialised"]:
             reason = "not_initialised"
         if reason:

@@ -132,12 +132,13 @@ class SensorModel(ABC, Generic[_Event]):
         """(m,) what was read, to tell whether it repeats the last one."""
 
     @abstractmethod
-    def refusal(self, event: _Event, repeats: int) -> str:
+    def refusal(self, event: _Event, repeats: int, *, contradicted: bool) -> str:
         """Why the measurement says by itself that it is none; empty where it does not.
 
         Args:
             event: The measurement.
             repeats: How many readings in a row before it were equal to it.
+            contradicted: Whether the gate has rejected the measurement before it.
         """
 
     @abstractmethod

@@ -121,9 +121,9 @@ class DepthParameters(SensorParameters):
         high=100_000.0,
     )
     frozen_samples: int = parameter(
-        100,
-        "This many exactly equal depths in a row, and those that follow, are refused as 'frozen'; "
-        "0 for never.",
+        20,
+        "This many exactly equal depths in a row, and those that follow, are refused as 'frozen', "
+        "and so is a repetition of a depth that the gate has rejected; 0 for never.",
         low=0,
         high=1_000_000,
     )
@@ -168,10 +168,11 @@ class DepthModel(SensorModel[Depth]):
         """The depth."""
         return np.array([event.depth])
 
-    def refusal(self, event: Depth, repeats: int) -> str:
-        """``frozen``: the same number again and again."""
+    def refusal(self, event: Depth, repeats: int, *, contradicted: bool) -> str:
+        """``frozen``: the same number again and again, or once more after it was rejected."""
         least = self._parameters.frozen_samples
-        return "frozen" if 0 < least <= repeats + 1 else ""
+        again = contradicted and repeats > 0
+        return "frozen" if 0 < least and (again or least <= repeats + 1) else ""
 
     def linearise(self, state: Records, event: Depth, turn: Turn) -> Linearised:
         """h = h_s - h_0 + [p_n + C_n_b l]_D, H = [0, -[C_n_b l x]_D, 0, 0, e_D] and 1 for h_s.

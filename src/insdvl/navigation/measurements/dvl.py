@@ -154,7 +154,7 @@ class DvlModel(SensorModel[Dvl]):
         """The velocity."""
         return event.v_d
 
-    def refusal(self, event: Dvl, repeats: int) -> str:
+    def refusal(self, event: Dvl, repeats: int, *, contradicted: bool) -> str:
         """``no_lock`` or ``repeated``: what a DVL without bottom lock reports."""
         if not self._lock_check:
             return ""

@@ -70,6 +70,11 @@ def velocity(change: Callable[[Array], Array]) -> Edit:
     return edit
 
 
+def pressure(change: Callable[[float], float]) -> Edit:
+    """Change the pressure [Pa] of a FluidPressure."""
+    return lambda message: replace(message, fluid_pressure=change(message.fluid_pressure))
+
+
 def covariance(Q: Array) -> Edit:
     """Set both covariances (3, 3) of an Imu."""
     fields = {f"{name}_covariance": Q.ravel() for name in (FORCE, RATE)}

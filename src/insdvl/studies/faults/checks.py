@@ -177,6 +177,24 @@ def covered(least: float = 0.95) -> Check:
     return Check(f"{expected}, none beyond {LARGEST_SIGMAS:g} σ", judge)
 
 
+def height_covered() -> Check:
+    """The height's sigma covers its error, from the beginning of the fault on."""
+
+    def judge(pairs: Pairs) -> tuple[str, bool]:
+        ratios = np.concatenate(
+            [
+                (np.abs(pair.flight.height_error) / pair.flight.height_sigma)[
+                    pair.flight.inside(pair.begin_ns, pair.after_ns[1])
+                ]
+                for pair in pairs
+            ]
+        )
+        largest = float(ratios.max()) if ratios.size else float("nan")
+        return f"height within {largest:.1f} σ", largest <= LARGEST_SIGMAS
+
+    return Check(f"height within {LARGEST_SIGMAS:g} σ", judge)
+
+
 def recovers(within: float) -> Check:
     """The velocity returns to that of the flight without the fault."""
 

@@ -14,7 +14,7 @@ from insdvl.arrays import Array, Stamps
 from insdvl.messages.convert import stamp_ns as stamp_of
 from insdvl.messages.feed import Feed
 from insdvl.messages.refusals import Refused
-from insdvl.messages.topics import IMU, measurement_of
+from insdvl.messages.topics import DEPTH, IMU, measurement_of
 from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.frames import ENU, rpy_from_rotation
 from insdvl.navigation.odometry import Odometry
@@ -56,6 +56,8 @@ class Flight:
         v_b: (N, 3) published body velocity [m/s], stream axes.
         error: (N, 3) its error.
         sigma: (N, 3) its standard deviation.
+        height_error: (N,) error of the published height [m], positive upwards.
+        height_sigma: (N,) its standard deviation.
         digest: Digest of all published odometry without its stamps.
         updates: The measurements that were judged.
         refused: Messages that were not used, by topic and reason.
@@ -72,6 +74,8 @@ class Flight:
     v_b: Array
     error: Array
     sigma: Array
+    height_error: Array
+    height_sigma: Array
     digest: str
     updates: list[FlownUpdate]
     refused: dict[Refused, int]
@@ -115,6 +119,8 @@ def parameters_of(
         "initial.rpy": tuple(rpy_from_rotation(ENU.attitude(C_n_b)).tolist()),
         "initial.velocity": tuple((ENU.body @ v_b).tolist()),
         "origin.height": -5.0,
+        "depth.topic": DEPTH if sensors.depth_rate else "",
+        "depth.surface_std": 0.0,
     }
     return build(FilterParameters, values | dict(changes))
 
@@ -160,6 +166,7 @@ class _Outputs:
         self.stream = stream
         self.updates: list[FlownUpdate] = []
         self.rows: list[tuple[int, int, Array, Array]] = []
+        self.heights: list[tuple[float, float]] = []  # published, and sigma
         self.digest = hashlib.sha256()
         self.finite = self.positive = self.monotonic = True
         self.epochs: list[int] = []
@@ -197,6 +204,7 @@ class _Outputs:
         time_ns = output.stamp_ns - epoch.stamp_ns
         sigma = np.sqrt(np.diag(output.twist_covariance)[:3])
         self.rows.append((time_ns, time_ns + epoch.truth_ns, output.twist_linear, sigma))
+        self.heights.append((output.position[2], np.sqrt(output.pose_covariance[2, 2])))
 
     def flight(
         self, parameters: FilterParameters, refused: dict[Refused, int], counts: dict[str, int]
@@ -209,6 +217,7 @@ class _Outputs:
         if not np.array_equal(mission.stamps_ns[k], truth_ns):
             raise ValueError("an output has a stamp that the mission does not have")
         true_v_b = np.einsum("kji,kj->ki", mission.truth.C_n_b[k], mission.truth.v_n[k]) @ ENU.body
+        height, height_sigma = np.array(self.heights).T
         faulted = Counter(a.topic for a in self.stream.arrivals if not a.valid)
         return Flight(
             times_ns=np.array(times, dtype=np.int64),
@@ -216,6 +225,8 @@ class _Outputs:
             v_b=v_b,
             error=v_b - true_v_b,
             sigma=np.array(sigmas),
+            height_error=height + mission.truth.p_n[k, 2],
+            height_sigma=height_sigma,
             digest=self.digest.hexdigest(),
             updates=self.updates,
             refused=refused,

@@ -13,7 +13,13 @@ from insdvl.messages.convert import RejectedMessage
 from insdvl.messages.topics import PROCESS_NOISE
 from insdvl.navigation.events import NS
 from insdvl.recordings.messages import message_of
-from insdvl.simulation.messages import dvl_messages, imu_messages, process_noise_messages
+from insdvl.simulation.depth import DepthModel
+from insdvl.simulation.messages import (
+    depth_messages,
+    dvl_messages,
+    imu_messages,
+    process_noise_messages,
+)
 from insdvl.simulation.mission import ImuModel, Mission, simulate
 from insdvl.simulation.noise import constant
 from insdvl.simulation.trajectories import AUV
@@ -102,12 +108,14 @@ class Sensors:
         rate: Rate of the IMU [Hz]; the density of its noise is the same at every rate.
         start_ns: Stamp of the start.
         learned: Whether the process noise is learned by a tuner; else the true one is published.
+        depth_rate: Rate of the depth sensor [Hz]; 0 for none.
     """
 
     imu: str = "noisy"
     rate: float = 100.0
     start_ns: int = 1000 * NS
     learned: bool = False
+    depth_rate: float = 0.0
 
     @property
     def variances(self) -> tuple[float, float]:
@@ -131,6 +139,7 @@ def stream_of(sensors: Sensors, seed: int, duration: float) -> Stream:
         seed=seed,
         duration=duration,
         imu=ImuModel(rate=sensors.rate),
+        depth=DepthModel(rate=sensors.depth_rate),
         start_ns=sensors.start_ns,
     )
     arrivals = list(sensor_arrivals(mission))
@@ -144,8 +153,9 @@ def stream_of(sensors: Sensors, seed: int, duration: float) -> Stream:
 
 
 def sensor_arrivals(mission: Mission) -> Iterable[Arrival]:
-    """The messages of IMU and DVL, each at its stamp, made one at a time."""
-    sensors = imu_messages(mission, message_of), dvl_messages(mission, message_of)
+    """The messages of IMU, DVL and depth sensor, each at its stamp, made one at a time."""
+    made_by = imu_messages, dvl_messages, depth_messages
+    sensors = (made(mission, message_of) for made in made_by)
     return (Arrival(*timed) for timed in merge(*sensors, key=lambda timed: timed.time_ns))
 
 
