@@ -63,13 +63,13 @@ inside "$folder/bin/python" - <<'END'
 from ros_insdvl_sim.trials.names import FILTER_NODE
 from ros_insdvl_sim.trials.witness import Witness
 
-FILTER = "/insdvl_filter"
 witness = Witness()
-witness.until(lambda: witness.tellings[FILTER], "the diagnostics of the filter", 30.0)
-witness.settle(lambda: witness.value(FILTER, "sent odometry/filtered"))
+count = witness.diagnostics.count
+witness.until_reported(FILTER_NODE)
+witness.until_settled(lambda: count(FILTER_NODE, "sent odometry/filtered"), FILTER_NODE)
 received = "received imu/data_raw", "received dvl/velocity"
-counts = *received, "sent odometry/filtered", "samples missing"
-print("filter: " + ", ".join(f"{key} {witness.value(FILTER, key)}" for key in counts))
+keys = *received, "sent odometry/filtered", "samples missing"
+print("filter: " + ", ".join(f"{key} {count(FILTER_NODE, key)}" for key in keys))
 witness.close()
 END
 kill "$filter"

@@ -15,6 +15,7 @@ from sensor_msgs.msg import Imu
 
 from insdvl.arrays import Array
 from insdvl.messages.convert import stamp_ns
+from insdvl.messages.topics import PROCESS_NOISE, TRUE_PROCESS_NOISE, TRUTH
 from insdvl.navigation.events import NS
 from insdvl.watch.monitor_parameters import MonitorParameters
 from ros_insdvl.execution import run_node
@@ -23,10 +24,7 @@ from ros_insdvl.odometry_series import OdometrySeries
 from ros_insdvl.qos import command_qos, publisher_qos
 from ros_insdvl.status.heard import ERROR, OK, STALE, WARN, HeardDiagnostics, Report
 
-TRUTH = "ground_truth/odometry"
-LEARNED_Q = "process_noise"
-TRUE_Q = "ground_truth/process_noise"
-
+NIS = "NIS dvl"  # how the key of the value begins
 STALE_TIME = 5.0  # s of the wall; every node reports once a second
 _LEVELS = {OK: "ok", WARN: "warn", ERROR: "ERROR", STALE: "stale"}
 
@@ -87,8 +85,8 @@ class Watched:
 
     @property
     def nis(self) -> str:
-        """Its mean normalised innovation squared."""
-        return next((v for key, v in self.report.values.items() if key.startswith("NIS")), "-")
+        """The mean normalised innovation squared of its DVL."""
+        return next((v for key, v in self.report.values.items() if key.startswith(NIS)), "-")
 
 
 class Monitor(InsdvlNode[MonitorParameters]):
@@ -121,7 +119,7 @@ class Monitor(InsdvlNode[MonitorParameters]):
             self.listen(Odometry, f"{prefix}odometry/filtered", watched.series.add)
         self.learned_q: deque[Noise] = deque(maxlen=keep)
         self.true_q: deque[Noise] = deque(maxlen=keep)
-        for topic, kept in ((LEARNED_Q, self.learned_q), (TRUE_Q, self.true_q)):
+        for topic, kept in ((PROCESS_NOISE, self.learned_q), (TRUE_PROCESS_NOISE, self.true_q)):
             self.listen(Imu, topic, _keep_variances(kept), command_qos())
         self.listen(DiagnosticArray, "/diagnostics", self.heard.add, publisher_qos())
         self._lines_above = 0

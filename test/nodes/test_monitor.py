@@ -81,7 +81,7 @@ def test_window_leaves_out_what_is_old(graph: MonitorGraph) -> None:
 
 def test_diagnostics_and_noise_are_shown(graph: MonitorGraph) -> None:
     values = {
-        "NIS, mean of 9": "2.950",
+        "NIS dvl, mean of 9": "2.950",
         "rate imu/data_raw [Hz]": "99.9",
         "rejected dvl: gate": "3",
         "rejected imu/data_raw: duplicate": "4",

@@ -99,6 +99,17 @@ def test_killed_and_restarted_it_goes_on_from_its_state_file(peer: Peer) -> None
     assert "from the state at stamp 1700000002.9" in peer.output(process)
 
 
+def interrupt_twice(
+    peer: Peer, process: "subprocess.Popen[bytes]", kind: signal.Signals, gap: float
+) -> None:
+    """Two signals end a process cleanly."""
+    process.send_signal(kind)
+    time.sleep(gap)  # the second meets another stage of the end
+    process.send_signal(kind)
+    assert process.wait(DEADLINE) == 0
+    assert "Traceback" not in peer.output(process)
+
+
 def test_two_processes_lose_nothing(peer: Peer) -> None:
     received: list[Odometry] = []
     peer.node.create_subscription(Odometry, "odometry/filtered", received.append, RELIABLE)
@@ -111,15 +122,13 @@ def test_two_processes_lose_nothing(peer: Peer) -> None:
     peer.until(lambda: len(received) == 1000)
     expected = [START_NS + k * NS // 100 for k in range(1, 1001)]
     assert [stamp_of(message) for message in received] == expected
-    process.send_signal(signal.SIGINT)
-    assert process.wait(DEADLINE) == 0
+    interrupt_twice(peer, process, signal.SIGINT, 0.005)
 
 
 @pytest.mark.parametrize(
     ("module", "kind", "gap"),
     [
         ("filter", signal.SIGINT, 0.0),  # two at once may become one
-        ("filter", signal.SIGINT, 0.005),
         ("filter", signal.SIGTERM, 0.05),
         ("monitor", signal.SIGTERM, 0.005),
     ],
@@ -130,11 +139,7 @@ def test_interrupted_twice_it_ends_cleanly(
     topic = {"filter": "imu/data_raw", "monitor": "ground_truth/odometry"}[module]
     process = peer.start(module)
     peer.until(lambda: peer.node.count_subscribers(topic) == 1)
-    process.send_signal(kind)
-    time.sleep(gap)  # the second meets another stage of the end
-    process.send_signal(kind)
-    assert process.wait(DEADLINE) == 0
-    assert "Traceback" not in peer.output(process)
+    interrupt_twice(peer, process, kind, gap)
     peer.until(lambda: peer.node.count_subscribers(topic) == 0)
 
 
@@ -148,8 +153,4 @@ def test_interrupted_under_load_it_ends_cleanly(peer: Peer, gap: float) -> None:
     for k in range(1, 1501):
         publisher.publish(imu_message(k))
     peer.until(lambda: len(received) > 10)
-    process.send_signal(signal.SIGINT)
-    time.sleep(gap)
-    process.send_signal(signal.SIGINT)
-    assert process.wait(DEADLINE) == 0
-    assert "Traceback" not in peer.output(process)
+    interrupt_twice(peer, process, signal.SIGINT, gap)

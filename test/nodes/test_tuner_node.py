@@ -1,12 +1,8 @@
 """The tuner node in a graph: what it publishes, its service, its diagnostics, its refusals."""
 
 import json
-import os
 import shutil
-import subprocess
-import sys
 import time
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,6 +11,7 @@ import pytest
 from graphs import LATCHED, RELIABLE, Graph, reliable
 from ros_messages import STEP_NS, stamp_of
 from sensor_msgs.msg import Imu
+from starts import starts
 from std_srvs.srv import SetBool
 
 from insdvl.parameters.declaration import ParameterError
@@ -213,34 +210,31 @@ def test_a_wrong_parameter_is_named(managed):
         managed(Graph("/auv")).make(TunerNode, rate=-1.0)
 
 
-def run_tuner(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "ros_insdvl.tuner", "--ros-args", *arguments],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        env=os.environ,
-        check=False,
-    )
-
-
-def test_an_altered_model_ends_the_node_with_its_name_and_hash(tmp_path: Path):
+@pytest.fixture(scope="module")
+def bad_models(tmp_path_factory):
+    """Paths of an altered and of an absent model, with the start of a tuner with each."""
+    folder = tmp_path_factory.mktemp("models")
     for file in (SHIPPED, SHIPPED.with_suffix(".json")):
-        shutil.copy(file, tmp_path)
-    model = tmp_path / "paper.npz"
-    data = bytearray(model.read_bytes())
+        shutil.copy(file, folder)
+    altered, absent = folder / "paper.npz", folder / "absent.npz"
+    data = bytearray(altered.read_bytes())
     data[len(data) // 2] ^= 1
-    model.write_bytes(data)
-
-    ended = run_tuner("-p", f"model:={model}")
-    assert ended.returncode == 1
-    assert str(model) in ended.stderr
-    assert json.loads((tmp_path / "paper.json").read_text())["sha256"] in ended.stderr
-    assert "Traceback" not in ended.stderr
+    altered.write_bytes(data)
+    paths = [altered, absent]
+    ended = starts("ros_insdvl.tuner", [["-p", f"model:={path}"] for path in paths])
+    return list(zip(paths, ended, strict=True))
 
 
-def test_a_missing_model_ends_the_node_with_its_name(tmp_path: Path):
-    ended = run_tuner("-p", f"model:={tmp_path / 'absent.npz'}")
-    assert ended.returncode == 1
-    assert str(tmp_path / "absent.json") in ended.stderr
-    assert "Traceback" not in ended.stderr
+def test_an_altered_model_ends_the_node_with_its_name_and_hash(bad_models):
+    model, ended = bad_models[0]
+    assert ended.code == 1
+    assert str(model) in ended.err
+    assert json.loads(model.with_suffix(".json").read_text())["sha256"] in ended.err
+    assert "Traceback" not in ended.err
+
+
+def test_a_missing_model_ends_the_node_with_its_name(bad_models):
+    model, ended = bad_models[1]
+    assert ended.code == 1
+    assert str(model.with_suffix(".json")) in ended.err
+    assert "Traceback" not in ended.err

@@ -339,7 +339,7 @@ WRONG = [("sead:=3", "sead"), ("seed:=one", "seed"), ("imu.rate:=0.0", "imu.rate
 def started() -> list[Start]:
     """The simulator, started with each of the wrong parameters."""
     arguments = [["-p", parameter] for parameter, _ in WRONG]
-    return starts("ros_insdvl_sim.simulator", "Simulator", arguments)
+    return starts("ros_insdvl_sim.simulator", arguments)
 
 
 @pytest.mark.parametrize("k", range(len(WRONG)), ids=[named for _, named in WRONG])

@@ -53,6 +53,12 @@ def test_the_short_form_has_the_rows_that_it_names() -> None:
     assert sum(row.short for row in ROWS) == 1
 
 
+def test_the_rows_are_those_of_the_committed_results() -> None:
+    (file,) = (Path(__file__).parents[2] / "docs").rglob("processes.json")
+    committed = [(row["group"], row["fault"]) for row in json.loads(file.read_text())["rows"]]
+    assert [(row.group, row.name) for row in ROWS] == committed
+
+
 def test_legs_of_a_soak_add_up(tmp_path: Path) -> None:
     options = ["--leg", "20", "--rate-factor", "4", "--out", str(tmp_path)]
     assert soak.soak_and_judge(soak.parse([*options, "--hours", "2"])) == 0

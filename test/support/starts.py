@@ -10,13 +10,15 @@ _SCRIPT = """
 import json
 import sys
 from importlib import import_module
-from ros_insdvl.execution import run_node
 
-module, name = sys.argv[1:]
-factory = getattr(import_module(module), name)
+main = import_module(sys.argv[1]).main
 for line in sys.stdin:
-    sys.argv = [name, "--ros-args", *json.loads(line)]
-    print("CODE", run_node(factory), flush=True)
+    sys.argv = ["node", "--ros-args", *json.loads(line)]
+    try:
+        code = main()
+    except SystemExit as end:
+        code = end.code
+    print("CODE", code, flush=True)
     print("CODE", file=sys.stderr, flush=True)
 """
 
@@ -29,10 +31,10 @@ class Start(NamedTuple):
     err: str
 
 
-def starts(module: str, node: str, arguments: Sequence[Sequence[str]]) -> list[Start]:
-    """Each start of a node, as its executable makes it."""
+def starts(module: str, arguments: Sequence[Sequence[str]]) -> list[Start]:
+    """Each start of the node of a module, as its executable makes it."""
     result = subprocess.run(
-        [sys.executable, "-c", _SCRIPT, module, node],
+        [sys.executable, "-c", _SCRIPT, module],
         input="\n".join(map(json.dumps, arguments)),
         capture_output=True,
         text=True,

@@ -10,7 +10,6 @@ from insdvl.timeline.jumps import TimeJump
 from insdvl.timeline.output import AppliedUpdate
 from ros_insdvl.status.diagnostics import Status, View
 
-IMU = "imu/data_raw"
 ODOMETRY = "odometry/filtered"
 
 

@@ -1,6 +1,7 @@
 """The cause `initialisation`: what the filter waits for, and initial states that it cannot use."""
 
 from insdvl.messages.inputs import Inputs
+from insdvl.messages.topics import FIX, SET_ODOMETRY
 from insdvl.navigation.events import NS
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.timeline.fold import Fold
@@ -41,11 +42,11 @@ class Initialisation(Cause):
         for name, text in _EVENTS.items():
             if count := view.events.recent[name]:
                 status.complain(WARN, name, text.format(count=count, seconds=RECENT))
-        topics = ["set_odometry"]
+        topics = [SET_ODOMETRY]
         if self._inputs.initial_topic is not None:
             topics.append(self._inputs.initial_topic)
-        if "gps/fix" in self._inputs.topics:
-            topics.append("gps/fix")
+        if FIX in self._inputs.topics:
+            topics.append(FIX)
         view.show(status, *topics)
         view.report_refused(status, topics)
         view.show_events(status, *_EVENTS)
@@ -59,8 +60,8 @@ class Initialisation(Cause):
             "parameters": "the first IMU sample",
             "levelling": f"{initial.levelling_time:g} s of IMU samples at rest",
             "topic": f"a message on {initial.topic}",
-            "set_odometry": "a message on set_odometry",
+            "set_odometry": f"a message on {SET_ODOMETRY}",
         }[initial.mode]
         if self._parameters.origin.source == "topic":
-            waits_for += " and a fix on gps/fix"
+            waits_for += f" and a fix on {FIX}"
         return waits_for

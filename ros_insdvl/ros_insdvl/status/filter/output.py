@@ -4,11 +4,12 @@ from collections import deque
 
 import numpy as np
 
+from insdvl.messages.topics import IMU
 from insdvl.navigation.events import NS
 from insdvl.navigation.odometry import Odometry
 from insdvl.navigation.parameters import FilterParameters
 from ros_insdvl.status.diagnostics import ERROR, RECENT, SILENT, WARN, Status, View
-from ros_insdvl.status.filter.base import IMU, ODOMETRY, Cause, Published
+from ros_insdvl.status.filter.base import ODOMETRY, Cause, Published
 
 #: Stamps and clock that differ by more than this belong to different times: no latency is given.
 CLOCK_AGREEMENT_NS = 10 * NS

@@ -1,12 +1,12 @@
 """The cause `process noise`: the Q in use, its age, and limits that were applied to it."""
 
-from insdvl.messages.topics import Q_TOPICS
+from insdvl.messages.topics import IMU, Q_TOPICS
 from insdvl.navigation.events import NS
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.timeline.fold import Fold
 from insdvl.watch.state_summary import StateSummary, summary
 from ros_insdvl.status.diagnostics import RECENT, WARN, Status, View, show_sigmas
-from ros_insdvl.status.filter.base import IMU, Cause
+from ros_insdvl.status.filter.base import Cause
 
 
 class ProcessNoise(Cause):

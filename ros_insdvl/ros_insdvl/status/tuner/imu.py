@@ -1,9 +1,8 @@
 """The tuner's cause `imu`: samples that are absent, refused, out of order or lost."""
 
+from insdvl.messages.topics import IMU
 from ros_insdvl.status.diagnostics import ERROR, RECENT, WARN, Status, View
 from ros_insdvl.status.reasons import OF_TIME
-
-IMU = "imu/data_raw"
 
 #: Events of the tuner, and what to do about each.
 _EVENTS = {

@@ -2,11 +2,9 @@
 
 import numpy as np
 
+from insdvl.messages.topics import IMU, PROCESS_NOISE
 from insdvl.tuner.tuner import TunedNoise, Tuner
 from ros_insdvl.status.diagnostics import RECENT, WARN, Status, View, show_sigmas
-from ros_insdvl.status.tuner.imu import IMU
-
-LEARNED = "process_noise"
 
 
 class Learned:
@@ -52,7 +50,7 @@ class Learned:
             sigmas = np.sqrt(latest.variances)
             show_sigmas(status, sigmas[:3], sigmas[3:])
         view.show_events(status, "samples", "windows", "too_large")
-        view.show(status, LEARNED)
+        view.show(status, PROCESS_NOISE)
         return status
 
     def _learns_nothing(self, view: View) -> bool:
@@ -60,7 +58,7 @@ class Learned:
         samples = view.received.recent[IMU]
         return (
             0 < samples < view.received.total[IMU]
-            and not view.sent.recent[LEARNED]
+            and not view.sent.recent[PROCESS_NOISE]
             and RECENT * self._rate >= 2.0
         )
 

@@ -172,7 +172,7 @@ class DepthModel(SensorModel[Depth]):
         """``frozen``: the same number again and again, or once more after it was rejected."""
         least = self._parameters.frozen_samples
         again = contradicted and repeats > 0
-        return "frozen" if 0 < least and (again or least <= repeats + 1) else ""
+        return "frozen" if least > 0 and (again or least <= repeats + 1) else ""
 
     def linearise(self, state: Records, event: Depth, turn: Turn) -> Linearised:
         """h = h_s - h_0 + [p_n + C_n_b l]_D, H = [0, -[C_n_b l x]_D, 0, 0, e_D] and 1 for h_s.
