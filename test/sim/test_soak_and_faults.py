@@ -338,7 +338,7 @@ def test_numbers_that_are_not_finite_are_kept_as_such(
     fly()
     bad = soak.soak.Health(float("nan"), float("nan"), float("nan"))
     hour = soak.soak.Hour(100, 100, 1.0, 200.0, float("nan"), 0.1, bad)
-    monkeypatch.setattr(soak.soak, "run", lambda hours, duration: iter([hour]))
+    monkeypatch.setattr(soak.soak, "flown_hours", lambda hours, duration: iter([hour]))
     assert add(tmp_path, "--hours", "0", "--core-hours", "1") == 1
     (core,) = recorded(tmp_path)["core"]
     assert core["nis"] is core["health"]["asymmetry"] is None

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.special import expit
-from scipy.stats import chi2
+from scipy.special import expit, gammainccinv, gammaincinv
 
 from insdvl.arrays import Array
 from insdvl.navigation import kalman
@@ -75,7 +74,11 @@ class Gate:
         self._model = model
         self._constants = constants
         m = model.rows
-        self._limit = float(chi2.ppf(parameters.probability, m)) if parameters.enabled else np.inf
+        self._limit = (
+            2.0 * float(gammaincinv(m / 2.0, parameters.probability))
+            if parameters.enabled
+            else np.inf
+        )
         self._nis_limit = _nis_limit(m)
         self._patience_ns = round(parameters.max_rejection_time * NS)
 
@@ -276,7 +279,7 @@ def _nis_limit(m: int) -> float:
     chi-square of (2 N - 1) m degrees of freedom, scaled to the mean m.
     """
     count = 2.0 * NIS_MEMORY - 1.0
-    return float(chi2.isf(NIS_TAIL, count * m) / count)
+    return 2.0 * float(gammainccinv(count * m / 2.0, NIS_TAIL)) / count
 
 
 def _trust_sensor(g: State) -> None:

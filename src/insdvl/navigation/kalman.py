@@ -19,6 +19,8 @@ from insdvl.navigation.measurements.base import Linearised
 #: iteration leaves a fraction.
 _BEND = 1.0  # (sigma)^2
 _ITERATIONS = 10
+#: Smallest pivot of S, relative to its diagonal: below it the gain would be rounding.
+_LEAST_PIVOT = 1e-10
 
 
 @dataclass(frozen=True)
@@ -97,7 +99,8 @@ def _gain(P: Array, H: Array, R: Array, nu: Array, S: Array, K: Array) -> float:
 def _inverse(S: Array, S_inv: Array) -> bool:
     """Inverse of a symmetric matrix (m, m) by Cholesky; False where it is not positive definite.
 
-    S = L L^T, and S^-1 = L^-T L^-1.
+    S = L L^T, and S^-1 = L^-T L^-1. Nor is a matrix whose smallest directions are lost in the
+    rounding of the largest.
     """
     m = S.shape[0]
     L, L_inv = np.zeros((m, m)), np.zeros((m, m))
@@ -108,7 +111,7 @@ def _inverse(S: Array, S_inv: Array) -> bool:
                 total -= L[i, k] * L[j, k]
             if i > j:
                 L[i, j] = total / L[j, j]
-            elif total > 0.0:  # nan is not
+            elif total > _LEAST_PIVOT * S[i, i]:  # nan is not
                 L[i, i] = np.sqrt(total)
             else:
                 return False

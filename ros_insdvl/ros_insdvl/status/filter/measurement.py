@@ -4,11 +4,11 @@ from collections import Counter, deque
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import gammaincinv
 
 from insdvl.navigation.events import NS
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.output import AppliedUpdate
+from insdvl.watch.consistency import nis_median
 from insdvl.watch.state_summary import summary
 from ros_insdvl.status.diagnostics import ERROR, RECENT, WARN, Status, View
 from ros_insdvl.status.filter.base import Cause, Published
@@ -20,9 +20,9 @@ OUTAGE_NS, LOST_NS = 5 * NS, 60 * NS
 GATE_REJECTIONS = 2
 #: NIS of the last measurements that are kept.
 KEPT_NIS = 100
-#: The median of at least so many NIS shows that a filter is overconfident, where it is more than
-#: twice that of chi-square.
-NIS_COUNT = 50
+#: A filter is overconfident if the median of at least so many NIS is above so many times that of
+#: chi-square.
+NIS_COUNT, NIS_RATIO = 50, 2.0
 
 #: Events of the gate's recovery, and what the filter did.
 _RECOVERIES = {
@@ -127,7 +127,7 @@ class MeasurementCause(Cause):
         count, nis = len(self._nis), float(np.mean(self._nis))
         status.values[f"NIS, mean of {count}"] = f"{nis:.3f}"
         status.summary = f"mean NIS {nis:.2f} ({self._rows} is expected)"
-        limit = 2.0 * 2.0 * float(gammaincinv(self._rows / 2.0, 0.5))  # twice chi-square's median
+        limit = NIS_RATIO * nis_median(self._rows)
         if count >= NIS_COUNT and float(np.median(self._nis)) > limit:
             status.complain(
                 WARN,

@@ -9,6 +9,7 @@ import numpy as np
 from insdvl.arrays import Array
 from insdvl.messages import topics as names
 from insdvl.messages.convert import FIX, IMU, ODOMETRY, TWIST, TWIST_WITH_COVARIANCE
+from insdvl.messages.depth import PRESSURE
 from insdvl.navigation.events import NS
 from insdvl.recordings.base import new_message
 from insdvl.recordings.messages import imu_message, odometry_message, twist_message
@@ -46,6 +47,7 @@ class Adversary:
             TWIST_WITH_COVARIANCE: self._twist_with_covariance,
             ODOMETRY: self._odometry,
             FIX: self._fix,
+            PRESSURE: self._pressure,
         }
 
     def messages(self, types: Mapping[str, str], count: int) -> Iterator[tuple[str, Any]]:
@@ -164,6 +166,12 @@ class Adversary:
         pose = replace(message.pose, covariance=self._covariance(6))
         twist = replace(message.twist, covariance=self._covariance(6))
         return replace(message, pose=pose, twist=twist)
+
+    def _pressure(self) -> Any:
+        message = new_message(PRESSURE)
+        message.fluid_pressure = float(self._numbers(1, 2e5, 1e4)[0])
+        message.variance = float(np.abs(self._numbers(1, 1e4, 1e3))[0])
+        return message
 
     def _fix(self) -> Any:
         message = new_message(FIX)
