@@ -22,7 +22,7 @@ from ros_insdvl.qos import publisher_qos
 from ros_insdvl.status.heard import HeardDiagnostics, HeardStatus
 from ros_insdvl_sim.trials.environment import TrialError
 
-PATIENCE = 300.0  # s of the wall for anything; without a cache, programs compile first
+PATIENCE = 600.0  # s of the wall; programs without a cache compile first, on a busy machine
 DEPTH = 4500  # messages that may wait for a subscriber
 
 _STAMP = struct.Struct("<iI")  # of a header, behind the four bytes of encapsulation
