@@ -31,6 +31,23 @@ def _uninterrupted() -> Iterator[None]:
             signal.signal(kind, handler)
 
 
+@contextmanager
+def _held_back() -> Iterator[None]:
+    """An interrupt waits until a process that is being started is known here, to be ended."""
+    held: list[int] = []
+    handlers = [
+        (kind, signal.signal(kind, lambda number, frame: held.append(number)))
+        for kind in INTERRUPTS
+    ]
+    try:
+        yield
+    finally:
+        for kind, handler in handlers:
+            signal.signal(kind, handler)
+        for number in held:
+            signal.raise_signal(number)
+
+
 def lossless(*topics: str) -> dict[str, Any]:
     """Parameters of subscriptions that lose nothing while a node is seconds behind.
 
@@ -103,7 +120,8 @@ class Processes:
         """
         arguments = [] if parameter_file is None else ["--params-file", str(parameter_file)]
         arguments += _arguments(parameters or {}, remaps or {})
-        with self.log(name).open("ab" if name in self._processes else "wb") as log:
+        mode = "ab" if name in self._processes else "wb"
+        with self.log(name).open(mode) as log, _held_back():
             self._processes[name] = subprocess.Popen(
                 [str(_installed(*program)), "--ros-args", *arguments],
                 stdin=subprocess.DEVNULL,
