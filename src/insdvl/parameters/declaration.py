@@ -265,3 +265,15 @@ def lever_arm(sensor: str) -> Any:
         high=1000.0,
         length=3,
     )
+
+
+def time_offset(sensor: str) -> Any:
+    """Parameter for what the stamps of a sensor are wrong by."""
+    return parameter(
+        0.0,
+        f"Added to the stamps of the {sensor}: negative where they are late, the time of validity "
+        "being before them.",
+        unit="s",
+        low=-10.0,
+        high=10.0,
+    )

@@ -35,7 +35,7 @@ from insdvl.navigation.measurements.base import (
 )
 from insdvl.navigation.state import State
 from insdvl.navigation.strapdown import turn_rate
-from insdvl.parameters.declaration import lever_arm, mount, parameter
+from insdvl.parameters.declaration import lever_arm, mount, parameter, time_offset
 
 #: Most tilt, one sigma [rad], that an inflation takes for possible.
 LARGEST_TILT_DOUBT = 0.5
@@ -77,6 +77,7 @@ class DvlParameters(SensorParameters):
     )
     mount: tuple[float, ...] = mount("DVL")
     lever_arm: tuple[float, ...] = lever_arm("DVL")
+    time_offset: float = time_offset("DVL")
     noise_std: tuple[float, ...] = parameter(
         (0.1, 0.1, 0.1),
         "Noise of each velocity component, one sigma; a covariance in the message replaces it.",
