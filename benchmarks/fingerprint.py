@@ -176,7 +176,7 @@ MISSIONS: dict[str, Callable[[], FoldResult]] = {
     ),
     "gap": lambda: fly({}, change=gap),
     "dvl error": lambda: fly(
-        {"dvl.bias_model": "gauss_markov", "dvl.bias_std": 0.05},
+        {"dvl.bias_model": "gauss_markov", "dvl.bias_std": (0.05, 0.05, 0.05)},
         dvl=DvlModel(noise_std=np.full(3, 0.02), bias_std=0.05),
     ),
     "dvl error ned": lambda: fly({"dvl.bias_model": "gauss_markov", "error_state": "ned"}),

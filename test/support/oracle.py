@@ -74,7 +74,7 @@ class DenseFilter:
     eps_w: float = 0.0
     C_b_d: np.ndarray = field(default_factory=lambda: np.eye(3))
     l_b: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    dvl_std: float = 0.0
+    dvl_std: np.ndarray = field(default_factory=lambda: np.zeros(3))  # of each axis
     dvl_time_constant: float = 1.0
     gate_probability: float = 1.0
     exact: bool = False  # Phi and Q_d from matrix exponentials, not of second order
@@ -138,7 +138,7 @@ class DenseFilter:
         if self.exact:
             if n > 15:
                 dynamics[D, D] = -beta * I3
-                noise[D, D] = 2 * beta * self.dvl_std**2 * I3
+                noise[D, D] = 2 * beta * np.diag(self.dvl_std**2)
             Phi, Q_d = van_loan(dynamics, noise, dt)
             self.P = Phi @ self.P @ Phi.T + Q_d
         else:
@@ -148,7 +148,7 @@ class DenseFilter:
                 Phi[D, D] = np.exp(-beta * dt) * I3
             self.P = Phi @ (self.P + half) @ Phi.T + half
             if n > 15:
-                self.P[D, D] += self.dvl_std**2 * (1 - np.exp(-2 * beta * dt)) * I3
+                self.P[D, D] += np.diag(self.dvl_std**2) * (1 - np.exp(-2 * beta * dt))
 
     def update(self, v_d, R, w_ib_b, Q_w_mean):
         """Correct with a DVL velocity.

@@ -48,6 +48,7 @@ class Inputs:
         first = [name for name, topic in self.topics.items() if topic.until_started]
         self.initial_topic: str | None = first[0] if first else None
         self._frames = {name: self._expected(topic) for name, topic in self.topics.items()}
+        self._offsets_ns = {name: self._offset_ns(topic) for name, topic in self.topics.items()}
         self.reset()
 
     @property
@@ -66,6 +67,12 @@ class Inputs:
             if expected := str(attrgetter(parameter)(self._parameters)):
                 fields.append((name.split(".")[-1], attrgetter(name), expected))
         return fields
+
+    def _offset_ns(self, topic: Topic) -> int:
+        """What is added to the stamps of a topic [ns]."""
+        if not topic.time_offset:
+            return 0
+        return round(attrgetter(topic.time_offset)(self._parameters) * NS)
 
     def reset(self) -> None:
         """Take messages of the initial topic again."""
@@ -91,6 +98,8 @@ class Inputs:
             return
         for converted in row.convert(message, self._parameters):
             event = self._with_stamp(converted, row.zero_stamp, newest_ns)
+            if event is not None:
+                event = self._in_time(event, topic)
             if event is None:
                 continue
             yield event
@@ -125,6 +134,21 @@ class Inputs:
             self._unstamped = event
             return None
         return replace(event, stamp_ns=newest_ns)
+
+    def _in_time(self, event: Event, topic: str) -> Event:
+        """The event at the time at which it was valid, by the topic's time offset.
+
+        Raises:
+            RejectedMessage: ``bad_stamp``: that is before the beginning of time.
+        """
+        offset_ns = self._offsets_ns[topic]
+        if not offset_ns or event.stamp_ns == 0:  # the beginning of time stays where it is
+            return event
+        stamp_ns = event.stamp_ns + offset_ns
+        if stamp_ns < 0:
+            parameter = self.topics[topic].time_offset
+            raise RejectedMessage("bad_stamp", f"stamp with {parameter} is {stamp_ns / NS:g} s")
+        return replace(event, stamp_ns=stamp_ns)
 
     def _check_frame(self, topic: str, row: Topic, message: Any) -> None:
         """Refuse a frame that is not the expected one; count changes of the frame_id.

@@ -78,6 +78,8 @@ class Topic:
         frames: Frame fields of the message, each with the filter's parameter that it must equal.
             A parameter that is empty accepts any frame, and a command may leave its frames empty.
         zero_stamp: What a stamp of zero means.
+        time_offset: Dotted name of the filter's parameter [s] that is added to the stamps; empty
+            where there is none.
         until_started: Whether messages are taken only until the filter has started, and max_delay
             has passed since.
         replay_parameter: Parameter of the replay that names the topic in a recording; empty where
@@ -96,6 +98,7 @@ class Topic:
     required: Callable[[FilterParameters], str] = _never
     frames: Mapping[str, str] = field(default_factory=lambda: _NO_FRAMES)
     zero_stamp: ZeroStamp = ZeroStamp.UNSET
+    time_offset: str = ""
     until_started: bool = False
     replay_parameter: str = ""
 
@@ -188,6 +191,7 @@ TOPICS: tuple[Topic, ...] = (
         _imu,
         _OF_IMU,
         frames=MappingProxyType({"header.frame_id": "imu.frame_id"}),
+        time_offset="imu.time_offset",
         replay_parameter="imu_topic",
     ),
     Topic(
@@ -197,6 +201,7 @@ TOPICS: tuple[Topic, ...] = (
         _OF_TWIST,
         measurement="dvl",
         frames=_DVL_FRAMES,
+        time_offset="dvl.time_offset",
         replay_parameter="dvl_topic",
     ),
     Topic(
@@ -206,6 +211,7 @@ TOPICS: tuple[Topic, ...] = (
         _OF_TWIST_WITH_COVARIANCE,
         measurement="dvl",
         frames=_DVL_FRAMES,
+        time_offset="dvl.time_offset",
         replay_parameter="dvl_covariance_topic",
     ),
     Topic(
@@ -260,6 +266,7 @@ TOPICS: tuple[Topic, ...] = (
         _OF_PROCESS_NOISE,
         command=True,
         zero_stamp=ZeroStamp.BEGINNING,
+        time_offset="imu.time_offset",  # it has the stamps of the samples that it is of
         replay_parameter="process_noise_topic",
         **_source_is("external"),
     ),
@@ -270,6 +277,7 @@ TOPICS: tuple[Topic, ...] = (
         _OF_PROCESS_NOISE,
         command=True,
         zero_stamp=ZeroStamp.BEGINNING,
+        time_offset="imu.time_offset",  # it has the stamps of the samples that it is of
         replay_parameter="true_process_noise_topic",
         **_source_is("oracle"),
     ),

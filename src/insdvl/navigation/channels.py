@@ -12,7 +12,7 @@ from insdvl.kernels import kernel
 from insdvl.navigation import strapdown
 from insdvl.navigation.geometry.rotation import rotate_back
 from insdvl.navigation.state import NEVER, Constants, State, Workspace
-from insdvl.parameters.declaration import lever_arm, mount, parameter
+from insdvl.parameters.declaration import lever_arm, mount, parameter, time_offset
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,7 @@ class ImuParameters:
     )
     mount: tuple[float, ...] = mount("IMU")
     lever_arm: tuple[float, ...] = lever_arm("IMU")
+    time_offset: float = time_offset("IMU")
     frame_id: str = parameter(
         "", "A sample of any other frame_id is refused as 'wrong_frame'; empty for any."
     )

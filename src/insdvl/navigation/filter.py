@@ -69,6 +69,11 @@ class UpdateReport:
         """Whether the innovation corrected the state; a restart only sets part of it."""
         return self.accepted and not self.reason
 
+    @property
+    def judged(self) -> bool:
+        """Whether it was compared with a prediction, so that its NIS is a number."""
+        return bool(np.isfinite(self.nis))
+
 
 @kernel
 def _advance(

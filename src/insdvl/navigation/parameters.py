@@ -106,6 +106,13 @@ class FilterParameters:
                 f"where there is a state_file, got {self.state_period!r}: before it "
                 "is written again the state would be too old to go on from"
             )
+        behind = self.imu.time_offset - self.dvl.time_offset
+        if behind > self.max_delay:
+            raise ParameterError(
+                f"parameter 'dvl.time_offset' must be at least imu.time_offset - max_delay "
+                f"({self.imu.time_offset - self.max_delay:g} s), got {self.dvl.time_offset!r}: "
+                "every measurement would be too late"
+            )
         interval = 1.0 / self.imu.rate
         if self.imu.max_gap <= interval:
             raise ParameterError(

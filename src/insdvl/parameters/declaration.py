@@ -166,9 +166,13 @@ class Declaration:
 
     def _wrong_type(self, value: Any) -> ParameterError:
         article = "an" if self.type_name == "int" else "a"
+        hint = ""
+        if self.length is not None and type(value) is type(self.default[0]):
+            example = [value] * self.length
+            hint = f": give {self.length} values, such as {shown(example)}"
         return ParameterError(
             f"parameter '{self.name}' must be {article} {self.type_name}, got {shown(value)} "
-            f"({type(value).__name__})"
+            f"({type(value).__name__}){hint}"
         )
 
     def _out_of_range(self, value: Any) -> ParameterError:
@@ -264,4 +268,16 @@ def lever_arm(sensor: str) -> Any:
         low=-1000.0,
         high=1000.0,
         length=3,
+    )
+
+
+def time_offset(sensor: str) -> Any:
+    """Parameter for what the stamps of a sensor are wrong by."""
+    return parameter(
+        0.0,
+        f"Added to the stamps of the {sensor}: negative where they are late, the time of validity "
+        "being before them.",
+        unit="s",
+        low=-10.0,
+        high=10.0,
     )

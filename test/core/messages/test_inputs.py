@@ -270,3 +270,31 @@ def test_where_the_first_of_a_topic_starts_nothing_a_later_one_does(name: str) -
     origin, samples_from, truth, fix_at = LATE_START[name]
     fold = told(origin=origin, samples_from=samples_from, truth=truth, fix_at=fix_at)
     assert fold.latest is not None
+
+
+# ------------------------------------------------------------------ time offsets
+
+
+def test_a_time_offset_is_added_to_the_stamps_of_its_sensor() -> None:
+    of = inputs(imu__time_offset=0.02, dvl__time_offset=-0.19, process_noise__source="message")
+    assert [e.stamp_ns - NOW for e in events(of, "imu/data_raw", imu())] == [20_000_000] * 2
+    for topic in ("dvl/velocity", "dvl/velocity_cov"):
+        message = dvl()
+        if topic.endswith("cov"):
+            message.twist = Message(twist=message.twist, covariance=np.zeros(36))
+        assert [e.stamp_ns - NOW for e in events(of, topic, message)] == [-190_000_000]
+    (start,) = events(of, "set_odometry", odometry())
+    assert start.stamp_ns == NOW
+
+
+def test_a_process_noise_has_the_stamps_of_its_samples() -> None:
+    of = inputs(imu__time_offset=0.02, process_noise__source="external")
+    assert [e.stamp_ns - NOW for e in events(of, "process_noise", imu())] == [20_000_000]
+    beginning = imu(stamp_ns=0)
+    assert [e.stamp_ns for e in events(of, "process_noise", beginning, NEVER)] == [0]
+
+
+def test_a_stamp_before_the_beginning_of_time_is_refused() -> None:
+    of = inputs(dvl__time_offset=-0.19)
+    assert refused(of, "dvl/velocity", dvl(NS // 10)) == "bad_stamp"
+    assert len(events(of, "dvl/velocity", dvl(NS // 5))) == 1

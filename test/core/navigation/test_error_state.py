@@ -32,7 +32,7 @@ from insdvl.navigation.parameters import (
 from insdvl.navigation.state import workspace_type
 
 MODELS = ("invariant", "ned")
-DVL_ERROR = slice(15, 18)
+DVL_ERROR, DVL_MOUNT = slice(15, 18), slice(18, 21)
 WEIGHTS = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
 STEPS = (
     (VELOCITY, 1.0),
@@ -41,6 +41,7 @@ STEPS = (
     (GYROSCOPE_BIAS, 0.1),
     (POSITION, 1000.0),
     (DVL_ERROR, 0.1),
+    (DVL_MOUNT, 0.1),
 )
 NOMINAL = ("C_n_b", "v_n", "b_f", "b_w", "p_n", "optional")
 
@@ -53,7 +54,7 @@ def random_spd(rng, scale):
 class Case:
     """A filter at a random state."""
 
-    def __init__(self, model, seed, *, speed=4.0, lat_deg=None, bias_model="none"):
+    def __init__(self, model, seed, *, speed=4.0, lat_deg=None, bias_model="none", mount_std=0.0):
         rng = np.random.default_rng(seed)
         lat_deg = rng.uniform(-79.0, 79.0) if lat_deg is None else lat_deg
         self.filter = Filter(
@@ -63,7 +64,10 @@ class Case:
                 origin=OriginParameters(latitude_deg=float(lat_deg), height=-50.0),
                 imu=ImuParameters(lever_arm=(0.3, -0.2, 0.1), mount=(0.1, -0.2, 0.3)),
                 dvl=DvlParameters(
-                    lever_arm=(-0.8, 0.5, 1.1), mount=(0.02, -0.3, 0.8), bias_model=bias_model
+                    lever_arm=(-0.8, 0.5, 1.1),
+                    mount=(0.02, -0.3, 0.8),
+                    bias_model=bias_model,
+                    mount_std=(mount_std,) * 3,
                 ),
                 process_noise=ProcessNoiseParameters(
                     accelerometer_bias_walk=3e-4, gyroscope_bias_walk=2e-5
@@ -80,7 +84,7 @@ class Case:
             "b_f": rng.uniform(-0.1, 0.1, 3),
             "b_w": rng.uniform(-0.01, 0.01, 3),
             "p_n": rng.uniform(-100.0, 100.0, 3),
-            "optional": optional(rng.uniform(-0.1, 0.1, 3)),
+            "optional": optional(rng.uniform(-0.1, 0.1, 3 if self.n < 21 else 6)),
         }
         self.f_b = np.array([0.0, 0.0, -9.8]) + rng.uniform(-2.0, 2.0, 3)
         self.w_ib_b = rng.uniform(-0.3, 0.3, 3)
@@ -102,8 +106,7 @@ class Case:
             "b_f": nominal["b_f"] + x[ACCELEROMETER_BIAS],
             "b_w": nominal["b_w"] + x[GYROSCOPE_BIAS],
             "p_n": nominal["p_n"] + x[POSITION],
-            "optional": nominal["optional"]
-            + optional(x[DVL_ERROR] if self.n > 15 else np.zeros(3)),
+            "optional": nominal["optional"] + optional(x[15:]),
         }
 
     def minus(self, true, nominal):
@@ -116,8 +119,7 @@ class Case:
         x[ACCELEROMETER_BIAS] = true["b_f"] - nominal["b_f"]
         x[GYROSCOPE_BIAS] = true["b_w"] - nominal["b_w"]
         x[POSITION] = true["p_n"] - nominal["p_n"]
-        if self.n > 15:
-            x[DVL_ERROR] = (true["optional"] - nominal["optional"])[:3]
+        x[15:] = (true["optional"] - nominal["optional"])[: self.n - 15]
         return x
 
     def jacobian(self, function):
@@ -176,10 +178,10 @@ class Case:
         )
 
 
-def optional(b_d):
-    """The DVL's error among the optional states."""
+def optional(values):
+    """Values of the optional states that are in use: the DVL's error, its mount."""
     states = np.zeros(LAYOUT.size - 15)
-    states[:3] = b_d
+    states[: len(values)] = values
     return states
 
 
@@ -253,11 +255,13 @@ def test_transition_of_the_dvl_error():
     )
 
 
-@pytest.mark.parametrize("bias_model", ["none", "gauss_markov"])
+@pytest.mark.parametrize(
+    ("bias_model", "mount_std"), [("none", 0.0), ("gauss_markov", 0.0), ("gauss_markov", 0.1)]
+)
 @pytest.mark.parametrize("seed", range(5))
-def test_measurement(model, seed, bias_model):
+def test_measurement(model, seed, bias_model, mount_std):
     """H is the derivative of h, but for the transport rate in w_nb: 1e-7 per metre of arm."""
-    case = Case(model, seed, bias_model=bias_model)
+    case = Case(model, seed, bias_model=bias_model, mount_std=mount_std)
     measured = -case.jacobian(lambda x: case.innovation(case.plus(case.nominal, x), np.zeros(3)))
     H = case.linearised(case.nominal, np.zeros(3)).H
 
@@ -269,7 +273,10 @@ def test_measurement(model, seed, bias_model):
     W_v[0, 1], W_v[1, 0], W_v[2, 1] = a, b, c
     C_b_n, l_b = case.nominal["C_n_b"].T, case.l_b
     left_out = np.zeros((3, case.n))
-    left_out[:, VELOCITY] = case.C_d_b @ skew(l_b) @ C_b_n @ W_v
+    C_d_b = case.C_d_b
+    if mount_std:
+        C_d_b = Rotation.from_rotvec(-case.nominal["optional"][3:6]).as_matrix() @ C_d_b
+    left_out[:, VELOCITY] = C_d_b @ skew(l_b) @ C_b_n @ W_v
     if case.invariant:
         left_out[:, ATTITUDE] = -left_out[:, VELOCITY] @ skew(case.nominal["v_n"])
     assert abs(left_out).max() < 1e-5
@@ -294,6 +301,17 @@ def test_measurement_is_the_velocity_at_the_dvl():
     v_b = C_n_b.T @ case.nominal["v_n"] + np.cross(w_nb_b, arm)
     expected = v_d - mount.as_matrix().T @ v_b - case.nominal["optional"][:3]
     np.testing.assert_allclose(innovation, expected, atol=1e-5)
+
+
+def test_an_estimated_mount_adds_to_that_of_the_parameters():
+    """v_d = exp(-[m x]) C_d_b (...): the DVL is turned by m about its own axes."""
+    case = Case("invariant", 7, bias_model="gauss_markov", mount_std=0.1)
+    none = dict(case.nominal, optional=optional(case.nominal["optional"][:3]))
+    v_d = np.array([0.3, 0.2, -0.1])
+    b_d, m = none["optional"][:3], case.nominal["optional"][3:6]
+    h = v_d - case.innovation(none, v_d) - b_d
+    turned = v_d - case.innovation(case.nominal, v_d) - b_d
+    np.testing.assert_allclose(turned, Rotation.from_rotvec(m).as_matrix().T @ h, atol=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -59,7 +59,7 @@ def parameters_of(model, convention, bias_model, *, rate=100.0, arms=True, **cha
             lever_arm=DVL_ARM if arms else (0.0, 0.0, 0.0),
             noise_std=(0.05, 0.06, 0.07),
             bias_model=bias_model,
-            bias_std=0.03,
+            bias_std=(0.03, 0.04, 0.05),
             bias_time_constant=7.0,
         ),
         "process_noise": ProcessNoiseParameters(
@@ -98,7 +98,7 @@ def dense_filter(parameters, w_ib_b):
         eps_w=parameters.process_noise.gyroscope_bias_walk,
         C_b_d=matrix(parameters.dvl.mount),
         l_b=np.array(parameters.dvl.lever_arm) - l_imu,
-        dvl_std=parameters.dvl.bias_std,
+        dvl_std=np.array(parameters.dvl.bias_std),
         dvl_time_constant=parameters.dvl.bias_time_constant,
         gate_probability=parameters.gate.probability,
     )
@@ -114,7 +114,7 @@ def dense_filter(parameters, w_ib_b):
             np.full(3, initial.accelerometer_bias_std),
             np.full(3, initial.gyroscope_bias_std),
             np.full(3, initial.position_std),
-            np.full(n - 15, parameters.dvl.bias_std),
+            parameters.dvl.bias_std[: n - 15],
         ]
     )
     T = np.eye(n)  # v = C v_b: dv = C dv_b - [v x] psi, and p_imu = p + C l

@@ -38,7 +38,7 @@ def parameters(error_state: str, velocity_frame: str, arm: np.ndarray) -> Filter
         frame_convention="ned",
         error_state=error_state,
         imu=ImuParameters(lever_arm=tuple(arm.tolist())),
-        dvl=DvlParameters(bias_model="gauss_markov", bias_std=0.02),
+        dvl=DvlParameters(bias_model="gauss_markov", bias_std=(0.02, 0.03, 0.04)),
         process_noise=ProcessNoiseParameters(gyroscope_variance=GYROSCOPE_VARIANCE),
         initial=InitialParameters(
             mode="set_odometry",
@@ -85,7 +85,7 @@ def sampled_covariance(settings: FilterParameters, s: np.void, **P: np.ndarray) 
     dp = draw("P_p", [STD["position"]] * 3)
     db_f = draw("f", [STD["f"]] * 3)
     db_w = draw("w", [STD["w"]] * 3)
-    b_d = draw("d", [settings.dvl.bias_std] * 3)
+    b_d = draw("d", settings.dvl.bias_std)
 
     turn = Rotation.from_rotvec(psi).as_matrix()
     C = turn @ C_HAT

@@ -66,7 +66,11 @@ def test_what_is_given_replaces_the_default_and_nothing_else() -> None:
         ("inner.triple", [1.0, 2.0, 0.0], "'inner.triple' must be 3 values, each > 0, got"),
         ("inner.triple", [1.0, 2, 3.0], "'inner.triple' must be a list of floats, got"),
         ("inner.triple", "1.0", "'inner.triple' must be a list of floats, got"),
-        ("inner.triple", 1.0, "'inner.triple' must be a list of floats, got"),
+        (
+            "inner.triple",
+            1.0,
+            r"'inner.triple' must be a list of floats, got 1.0 \(float\): give 3 ",
+        ),
         ("inner.gian", 0.5, "unknown parameter 'inner.gian'"),
         ("inner", 0.5, "unknown parameter 'inner'"),
     ],
@@ -77,6 +81,11 @@ def test_a_wrong_value_is_named_with_what_is_allowed(name: str, value: Any, expe
 
 
 CONTRADICTIONS = [
+    (
+        FilterParameters,
+        {"dvl.time_offset": -2.5},
+        "'dvl.time_offset' must be at least imu.time_offset - max_delay",
+    ),
     (FilterParameters, {"output_delay": 3.0, "max_delay": 2.0}, "'output_delay' must be at most"),
     (
         FilterParameters,

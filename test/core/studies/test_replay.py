@@ -106,6 +106,28 @@ def test_a_recording_folds_into_the_state_of_the_direct_run(
     assert not replayed.refused
 
 
+def test_known_time_offsets_make_late_stamps_as_clean_as_right_ones(
+    mission: Mission, tmp_path: Path
+) -> None:
+    """DVL stamps 0.19 s late, IMU stamps 0.03 s: told, they are the same mission to the bit."""
+    late = replace(
+        mission,
+        stamps_ns=mission.stamps_ns + 30_000_000,
+        dvl_stamps_ns=mission.dvl_stamps_ns + 190_000_000,
+    )
+    recording = read(save(tmp_path / "late", record(late)), REPLAY)
+    parameters = filter_parameters(dvl__time_offset=-0.19, imu__time_offset=-0.03)
+    replayed = fold_recording(recording, parameters)
+    direct = fold_arrays(
+        parameters, mission.stamps_ns, mission.f_b, mission.w_ib_b, dvl_events(mission)
+    )
+    assert_same_states(replayed.fold.states, direct.states)
+    assert [u.stamp_ns for u in replayed.updates] == mission.dvl_stamps_ns.tolist()
+    assert not replayed.refused
+    # The output has the corrected stamps, so it meets the truth where that is stamped right.
+    assert replayed.fold.states["nav"]["time_ns"].tolist() == mission.stamps_ns.tolist()
+
+
 def test_the_oracle_uses_the_true_process_noise(
     recording: list[Raw], replayed: Replayed, mission: Mission
 ) -> None:
@@ -250,10 +272,33 @@ def test_the_numbers_are_those_of_the_arrays(
     yaw = np.degrees((yaw + np.pi) % (2 * np.pi) - np.pi)
     assert numbers["heading_rmse_deg"] == pytest.approx(rms(yaw[:, None]), rel=0.02)
     nis = [update.report.nis for update in replayed.fold.updates]
-    assert numbers["nis_mean"] == pytest.approx(np.mean(nis))
+    assert numbers["nis_mean"] == numbers["nis_mean_accepted"] == pytest.approx(np.mean(nis))
     assert numbers["dvl_accepted"] == len(nis)
+    deeper = states["nav"]["p_n"][-1, 2] - truth.p_n[-1, 2]
+    assert numbers["depth_error_end"] == pytest.approx(deeper, abs=1e-9)
+    sigma = np.sqrt(states["nav"]["P"][-1, 14, 14])
+    assert numbers["depth_sigma_end"] == pytest.approx(sigma, rel=1e-6)
     assert 0.9 < numbers["body_velocity_inside_3_sigma"] <= 1.0
     assert len(numbers["innovation_autocorrelation"]) == 10
+
+
+def test_the_mean_nis_is_over_all_measurements_that_were_judged(
+    mission: Mission, tmp_path: Path
+) -> None:
+    """A rejected one counts: what is left without it fits, whatever the covariance is."""
+    wrong = mission.v_d.copy()
+    wrong[12] += 3.0
+    wrong[13] = 0.0  # refused by name: nothing was judged
+    recording = read(save(tmp_path / "wrong", record(replace(mission, v_d=wrong))), REPLAY)
+    replayed = fold_recording(recording, filter_parameters())
+    reports = [update.report for update in replayed.fold.updates]
+    assert [r.reason for r in reports if not r.accepted] == ["gate", "no_lock"]
+    judged = [r.nis for r in reports if r.reason != "no_lock"]
+    accepted = [r.nis for r in reports if r.accepted]
+    numbers = report(recording, replayed)
+    assert numbers["nis_mean"] == pytest.approx(np.mean(judged))
+    assert numbers["nis_mean_accepted"] == pytest.approx(np.mean(accepted))
+    assert numbers["nis_mean"] > 2.0 * numbers["nis_mean_accepted"]
 
 
 def test_a_reference_between_stamps_of_the_imu_is_met_between_them() -> None:
@@ -420,7 +465,9 @@ def test_the_recorded_outputs_replay_to_the_same_numbers(bag: Path, tmp_path: Pa
         assert (linear.x, linear.y, linear.z) == tuple(track.v_b[k])
         assert (position.x, position.y, position.z) == tuple(track.p_n[k])
         covariance = odometry[k].twist.covariance.reshape(6, 6)
-        np.testing.assert_array_equal(np.sqrt(np.diag(covariance)[:3]), sigma[k])
+        pose_covariance = odometry[k].pose.covariance.reshape(6, 6)
+        variances = np.concatenate([np.diag(covariance)[:3], np.diag(pose_covariance)[:3]])
+        np.testing.assert_array_equal(np.sqrt(variances), sigma[k])
 
 
 Change = Callable[[list[str], Path], list[str]]

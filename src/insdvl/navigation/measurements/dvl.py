@@ -19,6 +19,7 @@ from insdvl.navigation.events import MAX_SPEED, MAX_VARIANCE, NS, Limits, Measur
 from insdvl.navigation.geometry.frames import rotation_from_rpy
 from insdvl.navigation.geometry.rotation import (
     cross,
+    exponential,
     product,
     product_transposed,
     rotate,
@@ -35,7 +36,7 @@ from insdvl.navigation.measurements.base import (
 )
 from insdvl.navigation.state import State
 from insdvl.navigation.strapdown import turn_rate
-from insdvl.parameters.declaration import lever_arm, mount, parameter
+from insdvl.parameters.declaration import lever_arm, mount, parameter, time_offset
 
 #: Most tilt, one sigma [rad], that an inflation takes for possible.
 LARGEST_TILT_DOUBT = 0.5
@@ -77,6 +78,7 @@ class DvlParameters(SensorParameters):
     )
     mount: tuple[float, ...] = mount("DVL")
     lever_arm: tuple[float, ...] = lever_arm("DVL")
+    time_offset: float = time_offset("DVL")
     noise_std: tuple[float, ...] = parameter(
         (0.1, 0.1, 0.1),
         "Noise of each velocity component, one sigma; a covariance in the message replaces it.",
@@ -98,28 +100,49 @@ class DvlParameters(SensorParameters):
     )
     bias_model: str = parameter(
         "none",
-        "Model of the slowly varying DVL error, three more states when it is on.",
+        "Model of the slowly varying DVL error, three more states in DVL axes when it is on.",
         choices=("none", "gauss_markov"),
     )
-    bias_std: float = parameter(
-        0.01, "Stationary sigma of the first-order Gauss-Markov error.", unit="m/s", low=0.0
+    bias_std: tuple[float, ...] = parameter(
+        (0.01, 0.01, 0.01),
+        "Stationary sigma of the first-order Gauss-Markov error of each axis, 0 for one without. "
+        "A vertical error carries the depth away where no depth sensor holds it.",
+        unit="m/s",
+        low=0.0,
+        length=3,
     )
     bias_time_constant: float = parameter(
         10.0, "Correlation time of the first-order Gauss-Markov error.", unit="s", above=0.0
     )
 
+    mount_std: tuple[float, ...] = parameter(
+        (0.0, 0.0, 0.0),
+        "How well dvl.mount is known: one sigma of a constant rotation about each DVL axis, three "
+        "more states; zeros where it is known.",
+        unit="rad",
+        low=0.0,
+        high=0.5,
+        length=3,
+    )
+
     EVENT = Dvl
-    ROOM: ClassVar[Mapping[str, int]] = {"dvl_error": 3}
+    ROOM: ClassVar[Mapping[str, int]] = {"dvl_error": 3, "dvl_mount": 3}
     REMEDIES: ClassVar[Mapping[str, str]] = {
         "no_lock": "the DVL sends exact zeros: it has no bottom lock",
         "repeated": "the DVL repeats its last measurement: no bottom lock, or two publishers",
     }
 
     def blocks(self) -> tuple[Block, ...]:
-        """The DVL's error, where it is modelled: real ones are correlated over seconds."""
-        if self.bias_model == "none":
-            return ()
-        return (Block("dvl_error", (self.bias_std,) * 3, self.bias_time_constant),)
+        """The DVL's error and its mount, where they are modelled.
+
+        Real errors are correlated over seconds; a mount is constant.
+        """
+        blocks = []
+        if self.bias_model != "none":
+            blocks.append(Block("dvl_error", self.bias_std, self.bias_time_constant))
+        if any(self.mount_std):
+            blocks.append(Block("dvl_mount", self.mount_std))
+        return tuple(blocks)
 
     def model(self, vehicle: Vehicle) -> "DvlModel":
         """The DVL in a vehicle."""
@@ -144,10 +167,11 @@ class DvlModel(SensorModel[Dvl]):
         self._C_b_d = axes.body_rotation(rotation_from_rpy(np.array(parameters.mount)))
         self._C_d_b = np.ascontiguousarray(self._C_b_d.T)
         self._l_b = vehicle.lever_arm(parameters.lever_arm)
-        self._l_x = self._C_b_d.T @ error_state.cross_matrix(self._l_b)
+        self._l_x = error_state.cross_matrix(self._l_b)
         self._R = np.diag(np.square(parameters.noise_std))
         self._lock_check = parameters.lock_check
         self._error = vehicle.blocks.get("dvl_error")
+        self._mount = vehicle.blocks.get("dvl_mount")
         self.turn_average_ns = round(parameters.gyro_average * NS)
 
     def reading(self, event: Dvl) -> Array:
@@ -166,27 +190,27 @@ class DvlModel(SensorModel[Dvl]):
         """h = C_d_b (C_b_n v_n + w_nb_b x l) + b_d,  w_nb_b = w_ib_b - b_w - C_b_n w_in_n.
 
         H = C_d_b [ C_b_n | C_b_n [v x] (ned) or 0 (invariant) | 0 | [l x] | 0 ], the identity in
-        the block of the DVL's error, and [l x] C_b_n [w_in x] in the attitude column, from the
-        Earth rate in w_nb (docs/explanation/error-state.md). The turn rate is measured too: R has
-        its share [l x] Cov(w) [l x]^T.
+        the block of the DVL's error, [h x] J in that of its mount, and [l x] C_b_n [w_in x] in the
+        attitude column, from the Earth rate in w_nb (docs/explanation/error-state.md). The turn
+        rate is measured too: R has its share [l x] Cov(w) [l x]^T.
         """
-        vehicle = self._vehicle
-        R = (self._R if event.R is None else event.R) + self._l_x @ turn.covariance @ self._l_x.T
-        z_minus_h, H = np.empty(3), np.zeros((3, vehicle.n))
-        _predict(
-            state,
-            vehicle.workspace,
-            vehicle.constants,
-            self._C_d_b,
-            self._l_b,
-            turn.w_ib_b,
-            z_minus_h,
-            H,
-        )
-        z_minus_h = event.v_d - z_minus_h
+        vehicle, optional = self._vehicle, state[0]["nav"]["optional"]
+        h, H = np.empty(3), np.zeros((3, vehicle.n))
+        C_d_b, turn_jacobian = self._C_d_b, np.eye(3)
+        if self._mount is not None:
+            # exp(-[m x]) turns by the mount that is estimated beside dvl.mount; J is its mean.
+            M = np.empty((3, 3))
+            exponential(M, turn_jacobian, *-optional[vehicle.optional("dvl_mount")])
+            C_d_b = M @ C_d_b
+        _predict(state, vehicle.workspace, vehicle.constants, C_d_b, self._l_b, turn.w_ib_b, h, H)
+        if self._mount is not None:
+            H[:, self._mount] = error_state.cross_matrix(h) @ turn_jacobian
+        z_minus_h = event.v_d - h
         if self._error is not None:
             H[:, self._error] = np.eye(3)
-            z_minus_h -= state[0]["nav"]["optional"][vehicle.optional("dvl_error")]
+            z_minus_h -= optional[vehicle.optional("dvl_error")]
+        arm = C_d_b @ self._l_x
+        R = (self._R if event.R is None else event.R) + arm @ turn.covariance @ arm.T
         return Linearised(z_minus_h, H, (R + R.T) / 2)
 
     def in_stream(self, innovation: Array, S: Array) -> tuple[Array, Array]:

@@ -67,6 +67,7 @@ METRICS = (
     "nees_bias",
     "nees_position",
     "nis",
+    "nis_accepted",
     "innovation_autocorrelation",
     "failed",
 )
@@ -229,11 +230,13 @@ def assess(fold: FoldResult, run: Run) -> tuple[Array, Array]:
     ):
         values[name] = float(np.mean(nees(error, covariance))) / error.shape[1]
 
-    reports = [update.report for update in fold.updates if np.isfinite(update.report.nis)]
+    reports = [update.report for update in fold.updates if update.report.judged]
     z = normalised_innovations(
         np.array([r.innovation for r in reports]), np.array([r.S for r in reports])
     )
     values["nis"] = float(np.mean([r.nis for r in reports]))
+    accepted = [r.nis for r in reports if r.corrected]
+    values["nis_accepted"] = float(np.mean(accepted)) if accepted else np.nan
     values["innovation_autocorrelation"] = autocorrelation(z, 1)[0]
 
     series[:, 0] = np.sum(dv[seconds] ** 2, axis=1)

@@ -1,7 +1,7 @@
 """What a folded recording is worth: its errors against the recorded truth, and its innovations."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,6 @@ from insdvl.messages import convert
 from insdvl.messages.convert import RejectedMessage
 from insdvl.messages.topics import TRUTH
 from insdvl.navigation.events import NS
-from insdvl.navigation.filter import UpdateReport
 from insdvl.navigation.geometry.frames import NED
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.odometry import Odometry, odometry
@@ -27,22 +26,27 @@ from insdvl.studies.evaluation.metrics import (
 )
 from insdvl.studies.replay.fold import Replayed
 from insdvl.timeline.fold import Fold
-from insdvl.timeline.output import AppliedUpdate, FoldResult
+from insdvl.timeline.output import FoldResult
 
 DVL = Dvl.name
 LAGS = 10  # of the autocorrelation
 
 
 def states_at(fold: Fold | FoldResult, stamps_ns: Stamps) -> tuple[Track, Array]:
-    """The state at some stamps, in the axes of the stream, and the sigmas (M, 3) of v_b.
+    """The state at some stamps, in the axes of the stream, and sigmas (M, 6) of v_b and position.
 
-    Between two stamps of the IMU position, velocity and sigma are interpolated linearly, the
+    Between two stamps of the IMU position, velocity and sigmas are interpolated linearly, the
     attitude along the shortest rotation.
 
     Args:
         fold: The result.
         stamps_ns: (M,) stamps from the first to the last initialised state.
     """
+
+    def sigmas(entry: Odometry) -> Array:
+        variances = (np.diag(P)[:3] for P in (entry.twist_covariance, entry.pose_covariance))
+        return np.sqrt(np.concatenate([*variances]))
+
     times_ns = fold.states["nav"]["time_ns"]
     after = np.searchsorted(times_ns, stamps_ns)
     exact = times_ns[after] == stamps_ns
@@ -61,7 +65,7 @@ def states_at(fold: Fold | FoldResult, stamps_ns: Stamps) -> tuple[Track, Array]
     turn = (attitudes[a].inv() * attitudes[b]).as_rotvec()
     C = (attitudes[a] * Rotation.from_rotvec(share * turn)).as_matrix()
     track = Track(C, between(lambda o: o.twist_linear), between(lambda o: o.position))
-    return track, between(lambda o: np.sqrt(np.diag(o.twist_covariance)[:3]))
+    return track, between(sigmas)
 
 
 def truth_of(recording: Sequence[Raw]) -> tuple[Stamps, Track]:
@@ -83,10 +87,12 @@ def truth_of(recording: Sequence[Raw]) -> tuple[Stamps, Track]:
 def errors_of(fold: Fold | FoldResult, stamps_ns: Stamps, truth: Track) -> dict[str, Any]:
     """The errors at those stamps (M,) of the truth for which there is a state, and the NIS.
 
-    ``velocity_rmse`` is of the vector in navigation axes; ``nis_mean`` is over the DVL updates
-    that corrected the state. What is not known is None.
+    ``velocity_rmse`` is of the vector in navigation axes. ``nis_mean`` is over all DVL updates that
+    were judged, ``nis_mean_accepted`` over those that corrected the state: a filter that rejects
+    what does not fit has a small one of these whatever its covariance is. ``depth_error_end`` is
+    how much deeper the filter is than the truth at the last stamp. What is not known is None.
     """
-    nis = [report.nis for report in _corrections(fold.updates, DVL)]
+    dvl = [u.report for u in fold.updates if u.report.measurement == DVL]
     times_ns = fold.states["nav"]["time_ns"][fold.states["nav"]["initialised"] != 0]
     inside = np.zeros(len(stamps_ns), dtype=bool)
     if times_ns.size:
@@ -99,15 +105,19 @@ def errors_of(fold: Fold | FoldResult, stamps_ns: Stamps, truth: Track) -> dict[
         "position_drift_percent": None,
         "heading_rmse_deg": None,
         "tilt_rmse_deg": None,
+        "depth_error_end": None,
+        "depth_sigma_end": None,
         "body_velocity_inside_3_sigma": None,
         "reference_stamps": int(inside.sum()),
-        "nis_mean": float(np.mean(nis)) if nis else None,
+        "nis_mean": _mean([report.nis for report in dvl if report.judged]),
+        "nis_mean_accepted": _mean([report.nis for report in dvl if report.corrected]),
     }
     if inside.sum() < 2:
         return result
     truth = Track(truth.C_n_b[inside], truth.v_b[inside], truth.p_n[inside])
     track, sigma = states_at(fold, stamps_ns[inside])
     errors = scores(track, truth)
+    down = fold.filter.vehicle.axes.nav[2, 2]  # of the stream's z
     result |= {
         "velocity_rmse": errors.srmse,
         "body_velocity_rmse": errors.body_velocity_rmse,
@@ -116,15 +126,15 @@ def errors_of(fold: Fold | FoldResult, stamps_ns: Stamps, truth: Track) -> dict[
         "position_drift_percent": errors.position_drift_percent,
         "heading_rmse_deg": errors.heading_rmse_deg,
         "tilt_rmse_deg": errors.tilt_rmse_deg,
-        "body_velocity_inside_3_sigma": inside_fraction(truth.v_b - track.v_b, sigma),
+        "depth_error_end": float(down * (track.p_n[-1, 2] - truth.p_n[-1, 2])),
+        "depth_sigma_end": float(sigma[-1, 5]),
+        "body_velocity_inside_3_sigma": inside_fraction(truth.v_b - track.v_b, sigma[:, :3]),
     }
     return {name: finite(value) for name, value in result.items()}
 
 
-def _corrections(updates: Iterable[AppliedUpdate], name: str) -> list[UpdateReport]:
-    """The reports of a measurement whose innovation corrected the state."""
-    reports = (update.report for update in updates)
-    return [report for report in reports if report.measurement == name and report.corrected]
+def _mean(values: Sequence[float]) -> float | None:
+    return float(np.mean(values)) if values else None
 
 
 def _updates_of(name: str, replayed: Replayed) -> dict[str, Any]:
@@ -143,8 +153,7 @@ def _updates_of(name: str, replayed: Replayed) -> dict[str, Any]:
         f"{name}_rejected_by_reason": dict(reasons),
     }
     if name != DVL:
-        nis = [report.nis for report in _corrections(replayed.updates, name)]
-        numbers[f"{name}_nis_mean"] = float(np.mean(nis)) if nis else None
+        numbers[f"{name}_nis_mean"] = _mean([r.nis for r in reports if r.judged])
     return numbers
 
 
@@ -156,7 +165,8 @@ def report(recording: Sequence[Raw], replayed: Replayed) -> dict[str, Any]:
     the errors are those of the last part, the counts those of all parts.
     """
     fold = replayed.fold
-    corrected = _corrections(replayed.updates, DVL)
+    reports = [u.report for u in replayed.updates if u.report.measurement == DVL]
+    corrected = [report for report in reports if report.corrected]
     nu = np.array([r.innovation for r in corrected]).reshape(-1, 3)
     S = np.array([r.S for r in corrected]).reshape(-1, 3, 3)
     known = replayed.initialised
