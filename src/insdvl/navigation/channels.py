@@ -35,31 +35,31 @@ class ImuParameters:
     max_gap: float = parameter(
         0.1,
         "An interval between IMU stamps longer than this is a gap: it is counted, bridged with "
-        "the sample that ends it, and adds the uncertainty of the motion that was not seen.",
+        "the sample that ends it, and adds the uncertainty of the unseen motion.",
         unit="s",
         above=0.0,
     )
     gap_acceleration_std: float = parameter(
-        0.5, "Acceleration that may go unseen in a gap, one sigma.", unit="m/s^2", low=0.0
+        0.5, "Unseen acceleration in a gap, one sigma.", unit="m/s^2", low=0.0
     )
     gap_rate_std: float = parameter(
-        0.05, "Rate of turn that may go unseen in a gap, one sigma.", unit="rad/s", low=0.0
+        0.05, "Unseen angular rate in a gap, one sigma.", unit="rad/s", low=0.0
     )
     acceleration_range: float = parameter(
         0.0,
-        "A channel that reads this or more, either way, is saturated: the motion that it does not "
-        "see is added as in a gap, this at least; 0 if no range is declared.",
+        "A channel whose reading is at least this in size is saturated: the uncertainty of the "
+        "unseen motion is added as in a gap, with at least this sigma. 0 if no range is declared.",
         unit="m/s^2",
         low=0.0,
     )
     rate_range: float = parameter(
-        0.0, "As acceleration_range, of the angular rate.", unit="rad/s", low=0.0
+        0.0, "As acceleration_range, for the angular rate.", unit="rad/s", low=0.0
     )
     frozen_samples: int = parameter(
         100,
-        "A channel with this many exactly equal samples in a row is frozen: it is taken for one "
-        "that feels gravity only, or no turn, and the motion that it does not see is added as in a "
-        "gap; 0 for never.",
+        "A channel with this many exactly equal samples in a row is frozen: its reading is "
+        "replaced by gravity alone, or by no turn, and the uncertainty of the unseen motion is "
+        "added as in a gap. 0 disables the check.",
         low=0,
         high=1_000_000,
     )

@@ -35,8 +35,8 @@ class Event(ABC):
 
     Attributes:
         stamp_ns: When.
-        kind: Order of events with the same stamp: the state first reaches it with the IMU's sample,
-            then is told of an origin, an initial state and a process noise, then is corrected.
+        kind: Order of events with the same stamp: first the IMU sample, then origin, initial state
+            and process noise, then the measurements.
         follows_samples: Whether it is made from the newest samples, some of which may still be on
             their way; it may then be ahead of them.
     """

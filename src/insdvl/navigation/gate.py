@@ -32,9 +32,9 @@ NIS_MEMORY, NIS_TAIL = 5.0, 1e-4
 
 @dataclass(frozen=True)
 class GateParameters:
-    """Which DVL measurements are used."""
+    """Which measurements are used."""
 
-    enabled: bool = parameter(True, "Reject DVL measurements that fail the chi-square gate.")
+    enabled: bool = parameter(True, "Reject measurements that fail the chi-square gate.")
     probability: float = parameter(
         0.999,
         "Probability that a good measurement passes the gate.",
@@ -43,10 +43,11 @@ class GateParameters:
     )
     max_rejection_time: float = parameter(
         60.0,
-        "When nothing but rejections came for this time (in stamps), or for as long as the DVL has "
-        "borne the filter out before if that is shorter (5 s at most where the filter may be wrong "
-        "itself), the covariance of velocity and tilt is inflated; after twice the time the "
-        "velocity is initialised again from the DVL.",
+        "If a sensor is rejected without a break for this time (in stamps), or for as long as it "
+        "has agreed with the filter before if that is shorter (at most 5 s if the filter itself "
+        "may be wrong), the covariance is inflated: of velocity and tilt for the DVL, of the "
+        "height for a depth sensor. After twice the time the state is restarted from the "
+        "measurement.",
         unit="s",
         above=0.0,
         high=3600.0,
@@ -198,7 +199,7 @@ class Gate:
         if g["accepted_ns"] == NEVER:
             return 0
         interval_ns = stamp_ns - int(g["accepted_ns"])
-        # Behind an outage, or a gap, nobody has seen whether there was a step.
+        # Whether there was a step during an outage or a gap is unknown.
         seen = interval_ns <= LEAST_PATIENCE_NS and not self._has_gap(s)
         step = now.innovation - g["left"][: self._model.rows]
         if seen and self._step_nis(s, step, interval_ns, now.R) > self._limit:

@@ -35,43 +35,47 @@ class FilterParameters:
     earth_rate: bool = parameter(True, "Model the rotation of the Earth.")
     max_delay: float = parameter(
         2.0,
-        "A message older than the newest IMU stamp by more than this is counted and dropped.",
+        "A message that is older than the newest IMU stamp by more than this is counted and "
+        "dropped.",
         unit="s",
         low=0.0,
         high=60.0,
     )
     output_delay: float = parameter(
         0.0,
-        "Odometry is published this long after its stamp, with all that arrived until then.",
+        "Odometry is published this long after its stamp and includes all messages received by "
+        "then.",
         unit="s",
         low=0.0,
         high=60.0,
     )
     jump_limit: float = parameter(
         30.0,
-        "An IMU stamp that is ahead of the newest by more than this, or older than max_delay, is "
-        "of another time; ten such samples in a row are a time jump. Measurements and Q may be "
-        "ahead by as much, or by what 10,000 samples take where that is longer.",
+        "An IMU stamp that is ahead of the newest by more than this, or older than max_delay, "
+        "belongs to another time; ten such samples in a row are a time jump. Measurements and Q "
+        "may be ahead by as much, or by the duration of 10,000 samples if that is longer.",
         unit="s",
         low=1.0,
         high=3600.0,
     )
     jump_action: str = parameter(
         "reset",
-        "At a time jump the filter starts again in the new time; or everything stays refused until "
-        "stamps of the old time come again or ~/reset is called.",
+        "At a time jump, restart in the new time (reset), or refuse everything until stamps of the "
+        "old time return or ~/reset is called (hold).",
         choices=("reset", "hold"),
     )
     q_timeout: float = parameter(
         5.0,
-        "A Q from a topic older than this (in stamps) falls back to the nominal.",
+        "A received Q that is older than this, in the time of the stamps, is replaced by the "
+        "nominal one.",
         unit="s",
         above=0.0,
     )
     state_file: str = parameter(
         "",
-        "File in which the node keeps its state; at its start it goes on from there if the first "
-        "IMU stamp is at most jump_limit later. Empty for none; every filter needs its own.",
+        "File in which the node keeps its state. After a restart it resumes from there if the "
+        "first IMU stamp is at most jump_limit later. Empty for none; every filter needs a file "
+        "of its own.",
     )
     state_period: float = parameter(
         1.0,
@@ -128,7 +132,7 @@ class FilterParameters:
         self._check_limits()
 
     def _check_limits(self) -> None:
-        """A Q that is told is within the limits; the nominal one, without it, must be as well."""
+        """A received Q is limited to floor and ceiling; the nominal one must be within them too."""
         noise = self.process_noise
         if noise.source not in ("external", "message"):
             return

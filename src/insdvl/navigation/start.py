@@ -49,13 +49,14 @@ class InitialParameters:
 
     mode: str = parameter(
         "parameters",
-        "How the filter starts: from these values at the first IMU stamp; from the first message "
-        "of initial.topic; levelled with the accelerometer; on set_odometry only.",
+        "How the filter starts: from these values at the first IMU stamp (parameters); from the "
+        "first message on initial.topic (topic); with roll and pitch from the accelerometer at "
+        "rest (levelling); on set_odometry only.",
         choices=("parameters", "topic", "levelling", "set_odometry"),
     )
-    topic: str = parameter("ground_truth/odometry", "Odometry topic of the mode 'topic'.")
+    topic: str = parameter("ground_truth/odometry", "Odometry topic for the mode 'topic'.")
     levelling_time: float = parameter(
-        1.0, "Length of the mean specific force of the mode 'levelling'.", unit="s", above=0.0
+        1.0, "Duration over which 'levelling' averages the specific force.", unit="s", above=0.0
     )
     position: tuple[float, ...] = parameter(
         (0.0, 0.0, 0.0), "Position of base_link in odom.", unit="m", length=3

@@ -24,7 +24,7 @@ class Entries:
 
     Attributes:
         ordered: All that are kept.
-        unpublished: Measurements that nobody has been told of, in the order of their arrival.
+        unpublished: Measurements that `Fold.take` has not returned yet, in the order of arrival.
     """
 
     def __init__(self) -> None:

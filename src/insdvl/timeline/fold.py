@@ -283,7 +283,7 @@ class Fold:
 
     @property
     def _only_resumed(self) -> bool:
-        """Whether there is but the state of another run."""
+        """Whether the only state is that of another run."""
         return self._resumed_ns != NEVER and self._last_ns == self._resumed_ns
 
     def _make_room(self) -> None:
@@ -381,10 +381,10 @@ class Fold:
         stamp_ns = int(self._samples.stamps_ns[k])
         waited = state[0]["channels"]["imu_ns"] == NEVER
         if waited and stamp_ns - event.stamp_ns > self._jump_limit_ns:
-            # Nobody knows where the vehicle has gone since.
+            # Where the vehicle has gone since is unknown.
             state[0]["counters"]["too_old"] += 1
         elif waited and event.once and self._entries.another_start(e, stamp_ns):
-            pass  # of those that waited for the first sample the newest has missed the least
+            pass  # of several that waited for the first sample the newest one is the best
         elif not (event.once and state[0]["nav"]["initialised"]):
             self.filter.initialise(state, event, event.stamp_ns, self._samples.w_ib_b[k])
 

@@ -40,7 +40,7 @@ DECIDING = (
 
 _GROUPS = tuple(name for name in DECIDING if name.endswith("."))
 
-#: For so long a file that was not used is told of when there is another.
+#: For how long an unused file is reported after another has been written.
 TOLD_NS = 60 * NS
 
 

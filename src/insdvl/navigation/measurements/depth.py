@@ -70,8 +70,8 @@ class DepthParameters(SensorParameters):
 
     topic: str = parameter(
         "",
-        "Topic of the depth, of the type that is found on it: sensor_msgs/FluidPressure, "
-        "geometry_msgs/PoseWithCovarianceStamped or nav_msgs/Odometry (their z). Empty for none.",
+        "Topic of the depth sensor, with whichever type is found on it: sensor_msgs/FluidPressure, "
+        "or the z of geometry_msgs/PoseWithCovarianceStamped or nav_msgs/Odometry. Empty for none.",
     )
     frame_id: str = parameter(
         "", "A measurement of any other frame_id is refused as 'wrong_frame'; empty for any."
@@ -99,8 +99,8 @@ class DepthParameters(SensorParameters):
     )
     min_depth: float = parameter(
         0.3,
-        "A pressure of a shallower depth is refused as 'in_air': on deck, or of another unit than "
-        "Pa. The weather changes the pressure by as much as 0.3 m of water.",
+        "A pressure that corresponds to less depth is refused as 'in_air': the sensor is on deck, "
+        "or its unit is not Pa. The weather changes the pressure by up to 0.3 m of water.",
         unit="m",
         low=-100.0,
         high=100.0,
@@ -114,16 +114,16 @@ class DepthParameters(SensorParameters):
     )
     surface_std: float = parameter(
         10_000.0,
-        "One sigma of surface_height. As large as the default the surface is unknown, and is taken "
-        "from the filter's height at the first depth; 0 where it is known.",
+        "One sigma of surface_height. With the default the surface is unknown and is taken from "
+        "the filter's height at the first depth; 0 if it is known.",
         unit="m",
         low=0.0,
         high=100_000.0,
     )
     frozen_samples: int = parameter(
         20,
-        "This many exactly equal depths in a row, and those that follow, are refused as 'frozen', "
-        "and so is a repetition of a depth that the gate has rejected; 0 for never.",
+        "After this many exactly equal depths in a row, further ones are refused as 'frozen'; so "
+        "is the repetition of a depth that the gate has rejected. 0 disables the check.",
         low=0,
         high=1_000_000,
     )

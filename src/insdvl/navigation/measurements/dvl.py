@@ -88,12 +88,12 @@ class DvlParameters(SensorParameters):
     )
     lock_check: bool = parameter(
         True,
-        "Refuse a velocity of exactly zero ('no_lock') and one with exactly the bits of the "
-        "measurement before it ('repeated'): what a DVL without bottom lock reports.",
+        "Refuse a velocity of exactly zero ('no_lock') and one that exactly repeats the previous "
+        "measurement ('repeated'): a DVL without bottom lock reports these.",
     )
     gyro_average: float = parameter(
         0.25,
-        "The turn rate for the lever arm is the mean over this time, ending at the stamp.",
+        "The turn rate for the lever arm is averaged over this time, which ends at the stamp.",
         unit="s",
         low=0.0,
         high=10.0,

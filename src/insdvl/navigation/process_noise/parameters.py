@@ -65,14 +65,15 @@ class ProcessNoiseParameters:
     )
     adaptive_form: str = parameter(
         "floored",
-        "What the adaptive source does: adds its estimate to the nominal Q; replaces Q by it; or "
-        "leaves Q and estimates the predicted covariance at each update by variational Bayes.",
+        "What the adaptive source does: add its estimate to the nominal Q (floored); replace Q by "
+        "it (literal); or leave Q alone and estimate the predicted covariance at each update by "
+        "variational Bayes (variational).",
         choices=("floored", "literal", "variational"),
     )
     adaptive_prior: float = parameter(
         10.0,
-        "Weight of the predicted covariance against one innovation, of the form 'variational' "
-        "(tau).",
+        "Weight of the predicted covariance relative to one innovation (tau), for the form "
+        "'variational'.",
         above=0.0,
         high=1e6,
     )
