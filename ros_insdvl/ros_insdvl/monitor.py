@@ -22,9 +22,9 @@ from ros_insdvl.execution import run_node
 from ros_insdvl.node import InsdvlNode
 from ros_insdvl.odometry_series import OdometrySeries
 from ros_insdvl.qos import command_qos, publisher_qos
+from ros_insdvl.status.diagnostics import nis_key
 from ros_insdvl.status.heard import ERROR, OK, STALE, WARN, HeardDiagnostics, Report
 
-NIS = "NIS dvl"  # how the key of the value begins
 STALE_TIME = 5.0  # s of the wall; every node reports once a second
 _LEVELS = {OK: "ok", WARN: "warn", ERROR: "ERROR", STALE: "stale"}
 
@@ -86,7 +86,8 @@ class Watched:
     @property
     def nis(self) -> str:
         """The mean normalised innovation squared of its DVL."""
-        return next((v for key, v in self.report.values.items() if key.startswith(NIS)), "-")
+        values, begin = self.report.values, nis_key("dvl")
+        return next((v for key, v in values.items() if key.startswith(begin)), "-")
 
 
 class Monitor(InsdvlNode[MonitorParameters]):

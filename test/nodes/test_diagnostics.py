@@ -121,6 +121,15 @@ def test_a_filter_that_gets_what_it_needs_has_nothing_to_tell() -> None:
     assert wrong(f.look()) == {}
 
 
+def test_the_mean_nis_of_each_measurement_has_a_key_of_its_own() -> None:
+    f = Filter()
+    for second in (1, 2):
+        f.dvl(START_NS + second * NS)
+    f.samples(1, 301)
+    keys = [key for key in f.look()["dvl"].values if key.startswith("NIS")]
+    assert keys == ["NIS dvl, mean of 2"]  # which the monitor looks for
+
+
 REFUSALS = [
     ("imu/data_raw", "not_finite", "imu"),
     ("imu/data_raw", "no_data", "imu"),

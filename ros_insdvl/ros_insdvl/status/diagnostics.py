@@ -232,3 +232,8 @@ def show_sigmas(status: Status, sigma_f: Array, sigma_w: Array) -> None:
     for axis, f, w in zip("xyz", sigma_f, sigma_w, strict=True):
         status.values[f"Q sigma f_{axis} [m/s^2]"] = f"{f:.6g}"
         status.values[f"Q sigma w_{axis} [rad/s]"] = f"{w:.6g}"
+
+
+def nis_key(measurement: str) -> str:
+    """How the key of a measurement's mean NIS begins; the number of measurements follows."""
+    return f"NIS {measurement}, mean of "

@@ -10,7 +10,7 @@ from insdvl.timeline.fold import Fold
 from insdvl.timeline.output import AppliedUpdate
 from insdvl.watch.consistency import nis_median
 from insdvl.watch.state_summary import summary
-from ros_insdvl.status.diagnostics import ERROR, RECENT, WARN, Status, View
+from ros_insdvl.status.diagnostics import ERROR, RECENT, WARN, Status, View, nis_key
 from ros_insdvl.status.filter.base import Cause, Published
 
 #: Stamps without an accepted measurement for longer than this are worth a warning; for longer than
@@ -125,7 +125,7 @@ class MeasurementCause(Cause):
         if not self._nis:
             return
         count, nis = len(self._nis), float(np.mean(self._nis))
-        status.values[f"NIS, mean of {count}"] = f"{nis:.3f}"
+        status.values[f"{nis_key(self._name)}{count}"] = f"{nis:.3f}"
         status.summary = f"mean NIS {nis:.2f} ({self._rows} is expected)"
         limit = NIS_RATIO * nis_median(self._rows)
         if count >= NIS_COUNT and float(np.median(self._nis)) > limit:

@@ -90,6 +90,7 @@ class LiveFlight:
         self.codes: dict[str, int] = {}
         self.notes: dict[str, Any] = {}
         self._newest_ns = 0
+        self._starting: dict[str, tuple[str, int]] = {}  # node, and its reports before
         self._process_of: dict[str, subprocess.Popen[bytes]] = {}  # the last one of each node
         witness.hear(Odometry, ODOMETRY, lambda data: self.odometry.append((stamp_of(data), data)))
         witness.hear(Odometry, TRUTH, self._on_truth)
@@ -113,15 +114,17 @@ class LiveFlight:
         }
 
     def start_filter(self, name: str, environment: Mapping[str, str] | None = None) -> None:
-        """Start a filter, and wait until it is in the graph."""
+        """Start a filter, and wait until all nodes are in the graph."""
         self._start(name, FILTER, FILTER_NODE, self.filter_parameters(), environment)
+        self._until_started()
 
     def start_tuner(self, name: str, parameters: Mapping[str, Any]) -> None:
-        """Start a tuner, and wait until it is in the graph."""
+        """Start a tuner, and wait until all nodes are in the graph."""
         self._start(name, TUNER, TUNER_NODE, {**lossless(f"/{IMU}"), **parameters})
+        self._until_started()
 
     def start_relay(self, parameters: Mapping[str, Any]) -> None:
-        """Start a relay, and wait until it is in the graph."""
+        """Start a relay; the filter that is started next waits for it."""
         links = lossless(f"/sent/{IMU}", f"/sent/{DVL}")
         self._start("relay", RELAY, RELAY_NODE, {**links, **parameters})
 
@@ -134,16 +137,20 @@ class LiveFlight:
         environment: Mapping[str, str] | None = None,
     ) -> None:
         # An earlier one of this name has ended: reports from now on are those of the new one.
-        reports = self.witness.diagnostics.report(node).count
+        self._starting[name] = node, self.witness.diagnostics.report(node).count
         process = self.processes.start(name, program, parameters, environment=environment)
         self._process_of[node] = process
-        self.witness.until(
-            lambda: (
-                self.witness.diagnostics.report(node).count > reports or process.poll() is not None
-            ),
-            f"the start of {name}",
-        )
-        self.processes.check(name)
+
+    def _until_started(self) -> None:
+        """Wait for the first report of all that were started."""
+
+        def started() -> bool:
+            self.processes.check(*self._starting)
+            report = self.witness.diagnostics.report
+            return all(report(node).count > before for node, before in self._starting.values())
+
+        self.witness.until(started, f"the start of {', '.join(self._starting)}")
+        self._starting.clear()
 
     def start_simulator(
         self,
