@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from adversary import Adversary
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import TwistWithCovarianceStamped
 from graphs import Graph
@@ -15,7 +16,6 @@ from sensor_msgs.msg import Imu
 from insdvl.messages import convert
 from insdvl.messages.topics import BY_NAME
 from insdvl.recordings.base import encode
-from insdvl.studies.faults.fuzz import Adversary
 from ros_insdvl.conversions import message_class
 from ros_insdvl.filter import FilterNode
 from ros_insdvl.monitor import Monitor

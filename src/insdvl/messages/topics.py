@@ -162,25 +162,32 @@ _OF_IMU = ("bad_stamp", "no_stamp", "not_finite", "no_data", "bad_covariance")
 _OF_TWIST = ("bad_stamp", "no_stamp", "not_finite")
 _OF_TWIST_WITH_COVARIANCE = (*_OF_TWIST, "no_data", "bad_covariance")
 _OF_ODOMETRY = ("bad_stamp", "not_finite", "bad_quaternion", "no_data", "bad_covariance")
-_OF_DEPTH = (
-    *("bad_stamp", "no_stamp", "not_finite", "bad_covariance"),
-    *("no_data", "out_of_range", "in_air"),
-)
 _OF_PROCESS_NOISE = ("bad_stamp", "bad_covariance")
 _OF_FIX = ("bad_stamp", "no_data", "not_finite", "out_of_range")
 _DVL_FRAMES: Mapping[str, str] = MappingProxyType({"header.frame_id": "dvl.frame_id"})
 
 
-def _source_is(name: str) -> dict[str, Any]:
-    """When the topic of a source of process noise is taken, and required."""
+def _of_source(topic: str, source: str, replay_parameter: str) -> Topic:
+    """The topic of a source of process noise: taken, and required, where that source is set."""
 
     def taken(parameters: FilterParameters) -> bool:
-        return parameters.process_noise.source == name
+        return parameters.process_noise.source == source
 
     def required(parameters: FilterParameters) -> str:
-        return f"process_noise.source is '{name}'"
+        return f"process_noise.source is '{source}'"
 
-    return {"taken": taken, "required": required}
+    return Topic(
+        topic,
+        (convert.IMU,),
+        _process_noise,
+        _OF_PROCESS_NOISE,
+        command=True,
+        taken=taken,
+        required=required,
+        zero_stamp=ZeroStamp.BEGINNING,
+        time_offset="imu.time_offset",  # it has the stamps of the samples that it is of
+        replay_parameter=replay_parameter,
+    )
 
 
 #: In the order in which a stamp's measurements are used.
@@ -259,28 +266,8 @@ TOPICS: tuple[Topic, ...] = (
         until_started=True,
         replay_parameter="ground_truth_topic",
     ),
-    Topic(
-        PROCESS_NOISE,
-        (convert.IMU,),
-        _process_noise,
-        _OF_PROCESS_NOISE,
-        command=True,
-        zero_stamp=ZeroStamp.BEGINNING,
-        time_offset="imu.time_offset",  # it has the stamps of the samples that it is of
-        replay_parameter="process_noise_topic",
-        **_source_is("external"),
-    ),
-    Topic(
-        TRUE_PROCESS_NOISE,
-        (convert.IMU,),
-        _process_noise,
-        _OF_PROCESS_NOISE,
-        command=True,
-        zero_stamp=ZeroStamp.BEGINNING,
-        time_offset="imu.time_offset",  # it has the stamps of the samples that it is of
-        replay_parameter="true_process_noise_topic",
-        **_source_is("oracle"),
-    ),
+    _of_source(PROCESS_NOISE, "external", "process_noise_topic"),
+    _of_source(TRUE_PROCESS_NOISE, "oracle", "true_process_noise_topic"),
     Topic(
         FIX,
         (convert.FIX,),

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from adversary import Adversary
 
 from insdvl.messages import topics
 from insdvl.messages.convert import ODOMETRY
@@ -18,7 +19,6 @@ from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.start import _NO_INITIAL_TOPIC
 from insdvl.parameters.declaration import ParameterError, build
 from insdvl.recordings.parameters import ReplayParameters
-from insdvl.studies.faults.fuzz import Adversary
 
 ALL = {
     "initial.mode": "topic",

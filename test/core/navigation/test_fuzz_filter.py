@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from adversary import Adversary
 from records import P15
 
 from insdvl.messages.feed import Feed
@@ -11,7 +12,6 @@ from insdvl.navigation.events import NS
 from insdvl.navigation.odometry import Odometry, biases
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build
-from insdvl.studies.faults.fuzz import Adversary
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.jumps import TimeJump
 from insdvl.timeline.output import AppliedUpdate
