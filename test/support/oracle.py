@@ -97,9 +97,15 @@ class DenseFilter:
             T[V, A] = skew(v)
         return T
 
-    def predict(self, f_b, w_ib_b, dt, Q_f, Q_w):
-        """A step under constant specific force and turn rate; Q_f, Q_w are densities."""
+    def predict(self, f_b, w_ib_b, dt, Q_f, Q_w, w_before=None, sample=0.0):
+        """A step under constant specific force and turn rate; Q_f, Q_w are densities.
+
+        With the rate of the sample before, and the length of the sample that the step is (a part)
+        of, the rate of coning is added.
+        """
         f_b, w_ib_b = f_b - self.b_f, w_ib_b - self.b_w
+        if w_before is not None:
+            w_ib_b = w_ib_b + np.cross(w_before - self.b_w, w_ib_b) * sample / 12
         g, w_ie, W_v = self.earth()
         start = w_ie + W_v @ self.v
         mean_turn = np.tensordot(WEIGHTS, exp(NODES[:, None] * w_ib_b * dt), 1)
@@ -242,7 +248,8 @@ def run(dense, stamps_ns, f_b, w_ib_b, events, average_ns, density, rate):
         nonlocal time_ns
         if to_ns > time_ns:
             dt = (to_ns - time_ns) / NS
-            dense.predict(f_b[k], w_ib_b[k], dt, Q_f * density, Q_w * density)
+            before = (w_ib_b[k - 1], (stamps_ns[k] - stamps_ns[k - 1]) / NS) if k else ()
+            dense.predict(f_b[k], w_ib_b[k], dt, Q_f * density, Q_w * density, *before)
             time_ns = to_ns
 
     Q_f = Q_w = None

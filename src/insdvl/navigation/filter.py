@@ -16,6 +16,7 @@ from insdvl.navigation.error_state import ATTITUDE
 from insdvl.navigation.events import NS, Imu, Initial, Measurement, Origin, ProcessNoise
 from insdvl.navigation.gate import Gate
 from insdvl.navigation.geometry.frames import CONVENTIONS, rotation_from_rpy
+from insdvl.navigation.geometry.rotation import rotate
 from insdvl.navigation.kalman import Innovated
 from insdvl.navigation.measurements.base import SensorModel, Turn, Vehicle
 from insdvl.navigation.parameters import SENSORS, FilterParameters
@@ -103,6 +104,7 @@ def _advance(
     in_doubt = channels.doubt(s, w, c, reading, to_ns, s.channels.told_ns)
     if in_doubt:
         channels.replace_frozen(s, w, c)
+    _set_coning(s, w, c, sample_ns, in_doubt)
     strapdown.mechanise(s, w, c, w.f_hat, w.w_hat, dt)
 
     # Densities of the input noise; in a gap, of the motion that was not seen as well: a constant
@@ -140,6 +142,19 @@ def _advance(
                 w.Q_d[i, j] += dt * total
     error_state.propagate(nav.P, w, c.n)
     nav.time_ns = to_ns
+
+
+@kernel
+def _set_coning(s: State, w: Workspace, c: Constants, sample_ns: int, in_doubt: bool) -> None:
+    """Coning of the sample with the one before, where there is one and both show the motion."""
+    channels, interval_ns = s.channels, sample_ns - s.channels.imu_ns
+    w.coning[:] = 0.0
+    if in_doubt or channels.equal[3] == 0 or interval_ns > c.gap_ns:
+        return
+    rotate(w.w_before, c.C_b_i, channels.reading[3:])
+    for i in range(3):
+        w.w_before[i] -= s.nav.b_w[i]
+    strapdown.coning(w.coning, w.w_before, w.w_hat, interval_ns * 1e-9)
 
 
 @kernel

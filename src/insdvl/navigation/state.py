@@ -282,6 +282,9 @@ def workspace_type(n: int) -> np.dtype[np.void]:
             # Readings without bias, and without the channels that are frozen
             ("f_hat", "f8", (3,)),
             ("w_hat", "f8", (3,)),
+            # Angular rate of the sample before, without bias, and what the two make by coning
+            ("w_before", "f8", (3,)),
+            ("coning", "f8", (3,)),
             # Density of the motion that the channels of the IMU do not see, in its axes, what of
             # their turn is about the vertical and not told by a measurement, and which are frozen
             ("unseen", "f8", (6,)),

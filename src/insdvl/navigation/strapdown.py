@@ -6,7 +6,7 @@
 
 (Groves 2013, section 5.4.) A sample is the mean over its interval. Under constant f_b and w_ib_b
 the attitude and the rotated specific force are integrated exactly; the rest is of second order in
-the step.
+the step. An axis of turn that moves from sample to sample (coning) has a term of its own.
 """
 
 import numpy as np
@@ -75,13 +75,34 @@ def acceleration(w: Workspace, v_n: np.ndarray, a_n: np.ndarray) -> None:
 
 
 @kernel
+def coning(rate: np.ndarray, before: np.ndarray, w_ib_b: np.ndarray, dt: float) -> None:
+    """Rate by which the axis of turn moves the attitude: (w_(k-1) x w_k) dt / 12.
+
+    With a rate that changes linearly over two samples the rotation vector of the second is
+    w_k dt + (w_(k-1) x w_k) dt^2 / 12 (Savage, Journal of Guidance, Control, and Dynamics 21(1),
+    1998). As a constant rate over the sample it is shared by its parts, wherever a measurement
+    cuts it.
+
+    Args:
+        rate: (3,) result [rad/s].
+        before: (3,) angular rate of the sample before [rad/s], bias removed.
+        w_ib_b: (3,) of this one.
+        dt: Length of the whole sample [s].
+    """
+    cross(rate, before, w_ib_b)
+    for i in range(3):
+        rate[i] *= dt / 12.0
+
+
+@kernel
 def mechanise(
     s: State, w: Workspace, c: Constants, f_b: np.ndarray, w_ib_b: np.ndarray, dt: float
 ) -> None:
     """Advance C_n_b, v_n and p_n of a state over a step.
 
-    The workspace keeps the middle of the step for the error dynamics: C_mean, f_n, v_n, g_n, the
-    rates. ``s.nav.w_nb_b`` becomes the turn rate over the step.
+    The workspace has the rate of `coning` in the sample, and keeps the middle of the step for the
+    error dynamics: C_mean, f_n, v_n, g_n, the rates. ``s.nav.w_nb_b`` becomes the turn rate over
+    the step.
 
     Args:
         f_b: (3,) specific force [m/s^2], bias removed, base_link axes.
@@ -93,7 +114,13 @@ def mechanise(
 
     # Body turn over the step and its mean; the frame's turn to the middle and to the end.
     turn, mean_turn, frame, frame_mean = w.turn, w.mean_turn, w.frame, w.frame_mean
-    exponential(turn, mean_turn, w_ib_b[0] * dt, w_ib_b[1] * dt, w_ib_b[2] * dt)
+    exponential(
+        turn,
+        mean_turn,
+        (w_ib_b[0] + w.coning[0]) * dt,
+        (w_ib_b[1] + w.coning[1]) * dt,
+        (w_ib_b[2] + w.coning[2]) * dt,
+    )
     half = -0.5 * dt
     exponential(frame, frame_mean, w.w_in_n[0] * half, w.w_in_n[1] * half, w.w_in_n[2] * half)
     product(w.rotated, s.nav.C_n_b, mean_turn)
