@@ -156,12 +156,12 @@ class DenseFilter:
             if n > 15:
                 self.P[D, D] += np.diag(self.dvl_std**2) * (1 - np.exp(-2 * beta * dt))
 
-    def update(self, v_d, R, w_ib_b, Q_w_mean):
+    def update(self, v_d, R, w_ib_b, Q_w_there):
         """Correct with a DVL velocity.
 
         Args:
-            w_ib_b: (3,) mean of the measured turn rate.
-            Q_w_mean: (3, 3) covariance of that mean.
+            w_ib_b: (3,) measured turn rate.
+            Q_w_there: (3, 3) its covariance.
 
         Returns:
             innovation, S, nis and whether the state was corrected.
@@ -180,7 +180,7 @@ class DenseFilter:
             H[:, D] = I3
             h = h + self.b_d
         H = H @ (2 * np.eye(self.n) - self.coordinates(self.v))
-        R = R + l_x @ Q_w_mean @ l_x.T
+        R = R + l_x @ Q_w_there @ l_x.T
         S = H @ self.P @ H.T + R
         nu = v_d - h
         nis = nu @ np.linalg.solve(S, nu)
@@ -209,19 +209,21 @@ def van_loan(dynamics, noise, dt):
     return Phi, Phi @ result[:n, n:]
 
 
-def interval_mean(stamps_ns, samples, end_ns, length_ns):
-    """Mean of the samples, each constant over the interval before its stamp, and how many count."""
-    t = (stamps_ns - stamps_ns[0]) / NS
-    integral = np.vstack([np.zeros(3), np.cumsum(samples[1:] * np.diff(t)[:, None], axis=0)])
-    end, start = (end_ns - stamps_ns[0]) / NS, (end_ns - length_ns - stamps_ns[0]) / NS
-    total = [
-        np.interp(end, t, integral[:, i]) - np.interp(start, t, integral[:, i]) for i in range(3)
-    ]
-    count = np.count_nonzero((stamps_ns[1:] > end_ns - length_ns) & (stamps_ns[:-1] < end_ns))
-    return np.array(total) / (length_ns / NS), count
+def rate_at(stamps_ns, samples, end_ns, length_ns):
+    """A line through the samples of a window, at its end, and the variance of that for one of 1.
+
+    Each sample is constant over the interval before its stamp and stands for its middle.
+    """
+    begins, ends = (stamps_ns[:-1] - end_ns) / NS, (stamps_ns[1:] - end_ns) / NS
+    shares = np.minimum(ends, 0.0) - np.maximum(begins, -length_ns / NS)
+    inside = shares > 0.0
+    root = np.sqrt(shares[inside])
+    design = np.column_stack([np.ones(inside.sum()), (begins + ends)[inside] / 2])
+    weights = np.linalg.pinv(root[:, None] * design)[0] * root
+    return weights @ samples[1:][inside], weights @ weights
 
 
-def run(dense, stamps_ns, f_b, w_ib_b, events, average_ns, density, rate):
+def run(dense, stamps_ns, f_b, w_ib_b, events, window_ns, density, rate):
     """Fold a mission: events are (stamp, "Q", Q_f, Q_w) or (stamp, "dvl", v_d, R), sorted by stamp.
 
     The first event sets Q. Samples and Q are in base_link axes; Q is per sample as told.
@@ -240,9 +242,8 @@ def run(dense, stamps_ns, f_b, w_ib_b, events, average_ns, density, rate):
             if kind == "Q":
                 Q_f, Q_w = first, second
             else:
-                mean, count = interval_mean(stamps_ns, w_ib_b, stamp, average_ns)
-                variance = Q_w * density * rate / count
-                reports.append(dense.update(first, second, mean, variance))
+                w, variance = rate_at(stamps_ns, w_ib_b, stamp, window_ns)
+                reports.append(dense.update(first, second, w, Q_w * density * rate * variance))
 
     def step(to_ns, k):
         nonlocal time_ns

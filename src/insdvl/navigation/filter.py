@@ -356,20 +356,20 @@ class Filter:
         """Covariance (..., n, n) of the error states in use, of records (...)."""
         return np.asarray(states["nav"]["P"][..., : self.n, : self.n])
 
-    def turn_average_ns(self, event: Measurement) -> int:
-        """Time over which the turn rate is averaged for a measurement; 0 takes one sample."""
-        return self.models[event.name].turn_average_ns
+    def turn_window_ns(self, event: Measurement) -> int:
+        """Time before a measurement that its turn rate is taken from; 0 takes one sample."""
+        return self.models[event.name].turn_window_ns
 
     def update(
-        self, state: Records, event: Measurement, w_ib_b: Array, samples: int
+        self, state: Records, event: Measurement, w_ib_b: Array, variance: float
     ) -> UpdateReport:
         """Correct the state, which must be at the measurement's stamp.
 
         Args:
             state: (1,) record.
             event: The measurement.
-            w_ib_b: (3,) mean angular rate up to the stamp [rad/s], base_link axes.
-            samples: Number of samples in that mean.
+            w_ib_b: (3,) angular rate at the stamp [rad/s], base_link axes.
+            variance: Its variance, in units of that of one sample.
         """
         s, model, gate = state[0], self.models[event.name], self._gates[event.name]
         memory, stamp_ns = s["gate"][event.name], event.stamp_ns
@@ -380,7 +380,7 @@ class Filter:
         if reason:
             nan = np.full((model.rows, model.rows), np.nan)
             return UpdateReport(event.name, nan[0], nan, np.nan, False, reason)
-        turn = self._turn(s, w_ib_b, samples)
+        turn = self._turn(s, w_ib_b, variance)
         linearised = model.linearise(state, event, turn)
         R = gate.doubted(s, stamp_ns, linearised.R)
         now = kalman.innovate(s["nav"]["P"], linearised.z_minus_h, linearised.H, R)
@@ -423,9 +423,9 @@ class Filter:
     def _report(event: Measurement, now: Innovated, accepted: bool, reason: str) -> UpdateReport:
         return UpdateReport(event.name, now.innovation, now.S, now.nis, accepted, reason)
 
-    def _turn(self, s: State, w_ib_b: Array, samples: int) -> Turn:
+    def _turn(self, s: State, w_ib_b: Array, variance: float) -> Turn:
         """The turn rate at a measurement, and what is not known of it."""
-        covariance = start.sample_variance_w(s, self.vehicle) / samples
+        covariance = start.sample_variance_w(s, self.vehicle) * variance
         if channels.in_doubt(s):
             w_ib_b, unseen = channels.seen_rate(s, self.constants[0], w_ib_b)
             covariance = covariance + unseen

@@ -57,13 +57,15 @@ def test_the_body_velocity_is_as_good_as_its_covariance(tilt: float) -> None:
         v_n = turn @ s["nav"]["v_n"] + error[VELOCITY]
         v_b = C.T @ v_n
         w = s["nav"]["b_w"].copy()
-        report = filter_.update(state, Dvl(1, v_b + DVL_STD * rng.standard_normal(3)), w, 25)
+        report = filter_.update(state, Dvl(1, v_b + DVL_STD * rng.standard_normal(3)), w, 1 / 25)
         assert report.accepted
         J = body_velocity_jacobian(s["nav"]["C_n_b"], s["nav"]["v_n"], invariant=True, n=filter_.n)
         e = v_b - s["nav"]["C_n_b"].T @ s["nav"]["v_n"]
         total += e @ np.linalg.solve(J @ P15(s) @ J.T, e)
         # The next one, of the same velocity, is expected.
-        again += filter_.update(state, Dvl(2, v_b + DVL_STD * rng.standard_normal(3)), w, 25).nis
+        again += filter_.update(
+            state, Dvl(2, v_b + DVL_STD * rng.standard_normal(3)), w, 1 / 25
+        ).nis
     low, high = chi2.ppf([0.0005, 0.9995], 3 * RUNS)
     assert low < total < high
     assert again < chi2.ppf(0.9995, 3 * RUNS)

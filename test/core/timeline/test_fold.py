@@ -28,7 +28,7 @@ from insdvl.simulation.trajectories import AUV
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.output import AppliedUpdate, FoldResult
 from insdvl.timeline.recorded import fold_arrays
-from insdvl.timeline.samples import mean_rate
+from insdvl.timeline.samples import rate_at
 
 SEED = 57_721
 STEP = 10_000_000
@@ -765,36 +765,65 @@ def test_a_ping_in_a_gap_cuts_it_and_it_is_still_one_gap() -> None:
     np.testing.assert_allclose(np.diag(P15(fold.latest))[:6], np.diag(P)[:6], rtol=0.1)
 
 
-# ------------------------------------------------------------------ mean turn rate
+# ------------------------------------------------------------------ turn rate
 
 
-def test_the_mean_rate_weights_each_sample_by_its_share() -> None:
+def test_the_turn_rate_is_that_of_a_line_at_the_stamp() -> None:
+    """A rate that changes linearly is met exactly; each sample is its mean over its interval."""
+    stamps = np.array([0, 10, 20, 40, 50], dtype=np.int64) * 1_000_000
+    at, slope = np.array([0.2, -0.1, 0.4]), np.array([3.0, -2.0, 1.0])
+    middles = 1e-9 * (stamps + np.concatenate([[0], stamps[:-1]])) / 2
+    for stamp_ns in (42_000_000, 45_000_000, 50_000_000):
+        w = at + (middles[:, None] - 1e-9 * stamp_ns) * slope
+        found = np.empty(3)
+        assert 1.0 < rate_at(stamps, w, 4, stamp_ns, 30_000_000, found) < 5.0
+        np.testing.assert_allclose(found, at, rtol=1e-12)
+
+
+def test_the_line_weights_each_sample_by_its_share_of_the_window() -> None:
     stamps = np.array([0, 10, 20, 40, 50], dtype=np.int64)
-    w = np.arange(15.0).reshape(5, 3)
-    mean = np.empty(3)
+    w = np.random.default_rng(SEED).standard_normal((5, 3))
+    found = np.empty(3)
     # (15, 45]: half of sample 2, all of sample 3, half of sample 4.
-    assert mean_rate(stamps, w, 4, 45, 30, mean) == 3
-    np.testing.assert_allclose(mean, (5 * w[2] + 20 * w[3] + 5 * w[4]) / 30, rtol=1e-14)
-    assert mean_rate(stamps, w, 3, 40, 20, mean) == 1
-    np.testing.assert_array_equal(mean, w[3])
-    assert mean_rate(stamps, w, 2, 15, 0, mean) == 1
-    np.testing.assert_array_equal(mean, w[2])
+    variance = rate_at(stamps, w, 4, 45, 30, found)
+    line = np.polyfit([15 - 45, 30 - 45, 45 - 45], w[2:5], 1, w=np.sqrt([5, 20, 5]))
+    np.testing.assert_allclose(found, line[1], rtol=1e-12)
+    units = np.polyfit([15 - 45, 30 - 45, 45 - 45], np.eye(3), 1, w=np.sqrt([5, 20, 5]))[1]
+    assert variance == pytest.approx(units @ units, rel=1e-12)
+
+
+def test_the_variance_of_the_turn_rate_is_that_of_the_end_of_the_line() -> None:
+    """About 4 / N, four times that of the mean."""
+    rng = np.random.default_rng([SEED, 13])
+    stamps, found = np.arange(26, dtype=np.int64) * 10, np.empty(3)
+    rates, variance = [], 0.0
+    for _ in range(20_000):
+        variance = rate_at(stamps, rng.standard_normal((26, 3)), 25, 250, 250, found)
+        rates.append(found.copy())
+    assert variance == pytest.approx(4.0 / 25.0, rel=0.1)
+    assert np.var(rates) == pytest.approx(variance, rel=0.03)
+
+
+def test_one_sample_in_the_window_is_the_turn_rate() -> None:
+    stamps = np.array([0, 10, 20, 40, 50], dtype=np.int64)
+    w, found = np.arange(15.0).reshape(5, 3), np.empty(3)
     # Before the second sample nothing is known of an interval's length.
-    assert mean_rate(stamps, w, 0, 0, 30, mean) == 1
-    np.testing.assert_array_equal(mean, w[0])
+    for k, stamp, window in ((3, 40, 20), (2, 15, 0), (0, 0, 30), (1, 10, 30)):
+        assert rate_at(stamps, w, k, stamp, window, found) == 1.0
+        np.testing.assert_array_equal(found, w[k])
 
 
-def test_an_update_uses_the_mean_rate_and_its_noise() -> None:
-    """The innovation has w x l of the mean; S is smaller for the longer mean."""
+def test_an_update_uses_the_turn_rate_and_its_noise() -> None:
+    """The innovation has w x l of the line at the stamp; S is smaller for the longer window."""
     rng = np.random.default_rng([SEED, 12])
     rates = rng.standard_normal((100, 3))
-    S = []
-    for average, samples in ((0.0, 1), (0.1, 10), (0.25, 25)):
+    S, variances = [], []
+    for window, samples in ((0.0, 1), (0.1, 10), (0.25, 25)):
         arm = np.array([2.0, 1.0, -1.0])
         settings = replace(
             modes("parameters"),
             earth_rate=False,
-            dvl=DvlParameters(lever_arm=tuple(arm.tolist()), gyro_average=average),
+            dvl=DvlParameters(lever_arm=tuple(arm.tolist()), gyro_average=window),
         )
         events = [
             Imu(START + k * STEP, np.array([0.0, 0.0, -9.8]), 1e-3 * rates[k]) for k in range(100)
@@ -802,11 +831,14 @@ def test_an_update_uses_the_mean_rate_and_its_noise() -> None:
         v_d = np.array([0.1, 0.2, -0.3])
         result = offline(settings, [*events, Dvl(START + 99 * STEP, v_d)])
         before = offline(settings, list(events)).states[-1]
-        mean = 1e-3 * rates[100 - samples :].mean(axis=0)
-        h = before["nav"]["C_n_b"].T @ before["nav"]["v_n"] + np.cross(mean, arm)
+        middles = np.arange(samples) - samples + 0.5
+        degree = min(samples - 1, 1)
+        rate = 1e-3 * np.polyfit(middles, rates[100 - samples :], degree)[-1]
+        h = before["nav"]["C_n_b"].T @ before["nav"]["v_n"] + np.cross(rate, arm)
         report = result.updates[0].report
         np.testing.assert_allclose(report.innovation, v_d - h, rtol=1e-9, atol=1e-12)
         S.append(np.trace(report.S))
+        variances.append(np.sum(np.polyfit(middles, np.eye(samples), degree)[-1] ** 2))
     arm_noise = 2 * (arm @ arm) * 0.001
-    np.testing.assert_allclose(S[0] - S[1], 0.9 * arm_noise, rtol=1e-6)
-    np.testing.assert_allclose(S[1] - S[2], 0.06 * arm_noise, rtol=1e-6)
+    assert variances[0] > variances[1] > variances[2]
+    np.testing.assert_allclose(-np.diff(S), -np.diff(variances) * arm_noise, rtol=1e-6)

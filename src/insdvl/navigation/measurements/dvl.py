@@ -93,7 +93,8 @@ class DvlParameters(SensorParameters):
     )
     gyro_average: float = parameter(
         0.25,
-        "The turn rate for the lever arm is averaged over this time, which ends at the stamp.",
+        "The turn rate for the lever arm is the value at the stamp of a line fitted to the samples "
+        "of this time, which ends at the stamp; 0 takes one sample.",
         unit="s",
         low=0.0,
         high=10.0,
@@ -172,7 +173,7 @@ class DvlModel(SensorModel[Dvl]):
         self._lock_check = parameters.lock_check
         self._error = vehicle.blocks.get("dvl_error")
         self._mount = vehicle.blocks.get("dvl_mount")
-        self.turn_average_ns = round(parameters.gyro_average * NS)
+        self.turn_window_ns = round(parameters.gyro_average * NS)
 
     def reading(self, event: Dvl) -> Array:
         """The velocity."""

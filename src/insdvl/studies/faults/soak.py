@@ -194,7 +194,7 @@ def steps(parameters: FilterParameters, millions: int, seed: int) -> Iterator[He
         for _ in range(rounds):
             filter_.predict_samples(state, stamps_ns, f_b, w_ib_b, readings, 0, chunk, states)
             v_d = rng.normal((1.0, 0.0, 0.0), 0.05)
-            filter_.update(state, Dvl(int(stamps_ns[-1]), v_d), w_ib_b[-25:].mean(axis=0), 25)
+            filter_.update(state, Dvl(int(stamps_ns[-1]), v_d), w_ib_b[-25:].mean(axis=0), 1 / 25)
             health = health.with_state(state[0], filter_.covariance(state)[0])
             stamps_ns += chunk * step_ns
         yield health
