@@ -1,9 +1,14 @@
 """Error state: its map, dynamics, discretisation, injection and initial covariance.
 
-With C_true = exp([psi x]) C, b_true = b + db, p_true = p + dp, and
+With C_true = exp([psi x]) C, b_true = b + db, and
 
     ned:        v_true = v + dv
-    invariant:  v_true = exp([psi x]) v + dv     (dv_i = dv_ned + [v_n x] psi to first order)
+                p_true = p + dp
+    invariant:  v_true = exp([psi x]) v + dv           (dv_i = dv_ned + [v x] psi to first order)
+                p_true = r + exp([psi x]) x + dp       (dp_i = dp_ned + [x x] psi to first order)
+
+where x = p - r is the position from the reference r, the point whose position was known when the
+heading was not: the start. So a correction of the heading turns the path travelled since.
 
 Behind the fifteen states that every filter has come the blocks of optional states that sensors
 bring (measurements/base.py), each a first-order Gauss-Markov process or a constant.
@@ -31,6 +36,7 @@ ATTITUDE = slice(3, 6)  # rad
 ACCELEROMETER_BIAS = slice(6, 9)  # m/s^2
 GYROSCOPE_BIAS = slice(9, 12)  # rad/s
 POSITION = slice(12, 15)  # m
+HORIZONTAL_POSITION = slice(12, 14)
 
 # First elements of the blocks, for the kernels.
 _V, _A, _F, _W, _P = 0, 3, 6, 9, 12
@@ -66,9 +72,9 @@ def dynamics(w: Workspace, c: Constants) -> None:
     invariant:
         dv'  = -[W x] dv + ([g x] + [v x][w_ie x]) psi - C db_f - [v x] C db_w
         psi' = -W_v dv + (W_v [v x] - [w_in x]) psi - C db_w
-        dp'  = dv - [v x] psi
+        dp'  = dv + [x x] psi'
     """
-    F, C, v_x, M, N = w.F, w.C_mean, w.v_x, w.a_x, w.block
+    F, C, v_x, x_x, M, N = w.F, w.C_mean, w.v_x, w.x_x, w.a_x, w.block
     skew(v_x, w.v_n)
     for i in range(3):
         w.coriolis[i] = 2.0 * w.w_ie_n[i] + w.w_en_n[i]
@@ -76,11 +82,7 @@ def dynamics(w: Workspace, c: Constants) -> None:
     set_block(F, _V, _V, -1.0, M)
     set_block(F, _V, _F, -1.0, C)
     set_block(F, _A, _V, -1.0, w.W_v)
-    skew(M, w.w_in_n)
-    set_block(F, _A, _A, -1.0, M)
     set_block(F, _A, _W, -1.0, C)
-    for i in range(3):
-        F[_P + i, _V + i] = 1.0
     if c.invariant:
         skew(M, w.g_n)
         set_block(F, _V, _A, 1.0, M)
@@ -89,10 +91,27 @@ def dynamics(w: Workspace, c: Constants) -> None:
         add_block(F, _V, _A, 1.0, N)
         product(M, v_x, C)
         set_block(F, _V, _W, -1.0, M)
-        product(M, w.W_v, v_x)
-        add_block(F, _A, _A, 1.0, M)
-        set_block(F, _P, _A, -1.0, v_x)
+        product(N, w.W_v, v_x)
+        skew(M, w.w_in_n)
+        for i in range(3):
+            for j in range(3):
+                N[i, j] -= M[i, j]
+        set_block(F, _A, _A, 1.0, N)
+        # The position rows are dv + [x x] times the attitude rows.
+        skew(x_x, w.x_n)
+        product(M, x_x, N)
+        set_block(F, _P, _A, 1.0, M)
+        product(M, x_x, w.W_v)
+        set_block(F, _P, _V, -1.0, M)
+        product(M, x_x, C)
+        set_block(F, _P, _W, -1.0, M)
+        for i in range(3):
+            F[_P + i, _V + i] += 1.0
     else:
+        for i in range(3):
+            F[_P + i, _V + i] = 1.0
+        skew(M, w.w_in_n)
+        set_block(F, _A, _A, -1.0, M)
         product(M, v_x, w.W_v)
         add_block(F, _V, _V, 1.0, M)
         skew(M, w.f_n)
@@ -132,8 +151,9 @@ def _transition_row(Phi: Array, F: Array, i: int, dt: float) -> None:
 def input_noise(s: State, w: Workspace, c: Constants, Q_f: Array, Q_w: Array, dt: float) -> None:
     """Q_d = G Q_c G^T dt into ``w.Q_d``, for the densities ``Q_f``, ``Q_w`` (3, 3) and the walks.
 
-    G = [[C, [v x] C (invariant) or 0, 0, 0], [0, C, 0, 0], [0, 0, I, 0], [0, 0, 0, I], [0]]. White
-    noise has no sign, so those of G's columns do not matter.
+    G = [[C, [v x] C, 0, 0], [0, C, 0, 0], [0, 0, I, 0], [0, 0, 0, I], [0, [x x] C, 0, 0]], for
+    `ned` without [v x] C and [x x] C. White noise has no sign, so those of G's columns do not
+    matter.
     """
     Q_d, C, M, N = w.Q_d, w.C_mean, w.rotated, w.block
     product(M, C, Q_f)
@@ -149,8 +169,19 @@ def input_noise(s: State, w: Workspace, c: Constants, Q_f: Array, Q_w: Array, dt
             for j in range(3):
                 Q_d[_V + i, _A + j] = dt * M[i, j]
                 Q_d[_A + j, _V + i] = dt * M[i, j]
+        skew(w.x_x, w.x_n)
+        product(w.a_x, w.x_x, N)  # [x x] C Q_w C^T
         product_transposed(N, M, w.v_x)  # [v x] C Q_w C^T [v x]^T
         add_block(Q_d, _V, _V, dt, N)
+        product_transposed(M, w.a_x, w.v_x)  # [x x] C Q_w C^T [v x]^T
+        product_transposed(N, w.a_x, w.x_x)  # [x x] C Q_w C^T [x x]^T
+        set_block(Q_d, _P, _P, dt, N)
+        for i in range(3):
+            for j in range(3):
+                Q_d[_P + i, _A + j] = dt * w.a_x[i, j]
+                Q_d[_A + j, _P + i] = dt * w.a_x[i, j]
+                Q_d[_P + i, _V + j] = dt * M[i, j]
+                Q_d[_V + j, _P + i] = dt * M[i, j]
     for i in range(3):
         Q_d[_F + i, _F + i] = dt * c.eps_f
         Q_d[_W + i, _W + i] = dt * c.eps_w
@@ -247,19 +278,25 @@ def inject(s: State, c: Constants, dx: Array) -> None:
     for i in range(3):
         nav.b_f[i] += dx[_F + i]
         nav.b_w[i] += dx[_W + i]
-        nav.p_n[i] += dx[_P + i]
     for i in range(dx.shape[0] - CORE):
         nav.optional[i] += dx[CORE + i]
-    turn, rotated, v_n = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    turn, rotated = np.empty((3, 3)), np.empty((3, 3))
     exponential(turn, rotated, dx[_A], dx[_A + 1], dx[_A + 2])
     product(rotated, turn, nav.C_n_b)
     nav.C_n_b[:] = rotated
     orthonormalise(nav.C_n_b, rotated)
     if c.invariant:
+        v_n, x_n, turned = np.empty(3), np.empty(3), np.empty(3)
         rotate(v_n, turn, nav.v_n)
         nav.v_n[:] = v_n
+        for i in range(3):
+            x_n[i] = nav.p_n[i] - nav.r_n[i]
+        rotate(turned, turn, x_n)
+        for i in range(3):
+            nav.p_n[i] = nav.r_n[i] + turned[i]
     for i in range(3):
         nav.v_n[i] += dx[_V + i]
+        nav.p_n[i] += dx[_P + i]
 
 
 def cross_matrix(a: Array) -> Array:
@@ -269,8 +306,56 @@ def cross_matrix(a: Array) -> Array:
     return out
 
 
+def turns_position(s: State, *, invariant: bool) -> Array:
+    """[x x] (3, 3) of the position from the reference for `invariant`, zero for `ned`.
+
+    The error of the position in metres is dp = dp_model - [x x] psi.
+    """
+    nav = s["nav"]
+    return cross_matrix(nav["p_n"] - nav["r_n"]) if invariant else np.zeros((3, 3))
+
+
+def position_error(nav: State, C_n_b: Array, p_n: Array, *, invariant: bool) -> Array:
+    """Exact error (..., 3) of the position in the coordinates of the model [m].
+
+    Args:
+        nav: Group ``nav`` of records (...).
+        C_n_b: (..., 3, 3) true attitude.
+        p_n: (..., 3) true position [m].
+        invariant: Which error state it is.
+    """
+    if not invariant:
+        return np.asarray(p_n - nav["p_n"])
+    r_n = nav["r_n"]
+    turn = C_n_b @ np.swapaxes(nav["C_n_b"], -1, -2)
+    return np.asarray(p_n - r_n - np.einsum("...ij,...j->...i", turn, nav["p_n"] - r_n))
+
+
+def move_reference(s: State) -> None:
+    """Move the reference to where, towards the vehicle, position and heading are independent.
+
+    After a measurement of the position it is no longer the start whose position is known whatever
+    the heading is. With r <- r + d, dp_i <- dp_i - [d x] psi to first order; d is that part of x
+    which leaves the least variance of dp_i. Where the start is known better than by the
+    measurement, the heading is known by then, and d is 0 or turns nothing.
+    """
+    nav = s["nav"]
+    P, x_n = nav["P"], nav["p_n"] - nav["r_n"]
+    heading = ATTITUDE.stop - 1
+    lever = cross_matrix(x_n)[:, 2]  # what a heading error adds to dp_i, for d = x
+    denominator = P[heading, heading] * (lever @ lever)
+    if not denominator > 0.0:
+        return
+    d = float(np.clip(lever @ P[POSITION, heading] / denominator, 0.0, 1.0)) * x_n
+    nav["r_n"] += d
+    T = -cross_matrix(d)
+    P[POSITION, :] += T @ P[ATTITUDE, :]
+    P[:, POSITION] += P[:, ATTITUDE] @ T.T
+    P[:] = (P + P.T) / 2
+
+
 def from_ordinary_errors(
-    C_n_b: Array, v_n: Array, *, invariant: bool, velocity_frame: str, n: int
+    C_n_b: Array, v_n: Array, x_n: Array, *, invariant: bool, velocity_frame: str, n: int
 ) -> Array:
     """Jacobian T (n, n) of the model's coordinates with respect to ordinary errors.
 
@@ -279,10 +364,12 @@ def from_ordinary_errors(
 
         dv_ned       = C dv_b - [v x] psi       (body), and then
         dv_invariant = dv_ned + [v x] psi = C dv_b
+        dp_invariant = dp_ned + [x x] psi
 
     Args:
         C_n_b: (3, 3) attitude.
         v_n: (3,) velocity [m/s], NED.
+        x_n: (3,) position from the reference [m].
         velocity_frame: ``body`` or ``nav``.
         n: Number of error states.
     """
@@ -293,6 +380,7 @@ def from_ordinary_errors(
         sign -= 1.0
     if invariant:
         sign += 1.0
+        T[POSITION, ATTITUDE] = cross_matrix(x_n)
     T[VELOCITY, ATTITUDE] = sign * cross_matrix(v_n)
     return T
 

@@ -12,7 +12,7 @@ import numpy as np
 from insdvl.arrays import Array, Records, Stamps
 from insdvl.kernels import kernel
 from insdvl.navigation import channels, error_state, kalman, start, strapdown
-from insdvl.navigation.error_state import ATTITUDE
+from insdvl.navigation.error_state import ACCELEROMETER_BIAS, HORIZONTAL_POSITION, POSITION
 from insdvl.navigation.events import NS, Imu, Initial, Measurement, Origin, ProcessNoise
 from insdvl.navigation.gate import Gate
 from insdvl.navigation.geometry.frames import CONVENTIONS, rotation_from_rpy
@@ -37,8 +37,9 @@ LAYOUT = layout(
     tuple(SENSORS), sum(size for group in SENSORS.values() for size in group.ROOM.values())
 )
 
-#: The states that the noise of the samples drives are those before this one.
-_INPUT = ATTITUDE.stop
+
+# First elements of blocks, for the kernel.
+_BIASES, _POSITION = ACCELEROMETER_BIAS.start, POSITION.start
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,12 @@ class UpdateReport:
     def judged(self) -> bool:
         """Whether it was compared with a prediction, so that its NIS is a number."""
         return bool(np.isfinite(self.nis))
+
+
+@kernel
+def _is_driven(i: int) -> bool:
+    """Whether the noise of the samples drives an error state: not the biases and optional ones."""
+    return i < _BIASES or _POSITION <= i < CORE
 
 
 @kernel
@@ -134,7 +141,7 @@ def _advance(
         for i in range(c.n):
             for j in range(c.n):
                 # In place of the nominal Q, but not of the motion that was not seen.
-                if c.literal and (i >= _INPUT or j >= _INPUT):
+                if c.literal and not (_is_driven(i) and _is_driven(j)):
                     w.Q_d[i, j] = 0.0
                 total = 0.0
                 for a in range(3):
@@ -413,6 +420,8 @@ class Filter:
             lambda: model.linearise(state, event, turn),
             iterate=self.vehicle.invariant,
         )
+        if self.vehicle.invariant and now.H[:, HORIZONTAL_POSITION].any():
+            error_state.move_reference(s)
         self._gates[event.name].accept(s, stamp_ns, nis, left)
         if model.tells_velocity:
             judged_ns = s["gate"][event.name]["judged_ns"]

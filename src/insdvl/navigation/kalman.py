@@ -12,7 +12,7 @@ import numpy as np
 from insdvl.arrays import Array, Records
 from insdvl.kernels import kernel
 from insdvl.navigation import error_state
-from insdvl.navigation.error_state import ATTITUDE, VELOCITY
+from insdvl.navigation.error_state import ATTITUDE, POSITION, VELOCITY
 from insdvl.navigation.measurements.base import Linearised
 
 #: An update is iterated while h bends by more than the mean sigma of R, but not for ever: each
@@ -193,6 +193,9 @@ def correct(
     corrected state (Gauss-Newton; Bell and Cathey, IEEE Transactions on Automatic Control
     38(2), 1993).
 
+    A measurement of the position tells it in metres, whatever the heading is. So behind one the
+    covariance is turned to the corrected position also where nothing is iterated.
+
     Args:
         state: (1,) record.
         constants: (1,) of the filter.
@@ -207,7 +210,10 @@ def correct(
     R, n = prior.R, len(prior.K)
     P = before["nav"]["P"][0][:n, :n]
     H, K, innovation = prior.H, prior.K, prior.innovation
-    T = np.eye(n)  # errors of the corrected state, by those of the prior that are left
+    # Errors of the corrected state, by those of the prior that are left.
+    T = np.eye(n)
+    if iterate and H[:, POSITION].any():
+        T[POSITION, ATTITUDE] = error_state.cross_matrix((K @ innovation)[POSITION])
     smallest, corrected, used, left = np.inf, state.copy(), (H, K, T), prior.innovation
     for _ in range(_ITERATIONS):
         dx = K @ innovation
@@ -223,6 +229,7 @@ def correct(
             break
         T = np.eye(n)
         T[VELOCITY, ATTITUDE] = error_state.cross_matrix(dx[VELOCITY])
+        T[POSITION, ATTITUDE] = error_state.cross_matrix(dx[POSITION])
         H = again.H @ T
         S = H @ P @ H.T + R
         if not np.linalg.det(S) > 0.0:  # lost in rounding
@@ -232,7 +239,7 @@ def correct(
         state[:] = before
     state[:] = corrected
     H, K, T = used
-    if T[VELOCITY, ATTITUDE].any():
+    if not np.array_equal(T, np.eye(n)):
         # Joseph form with T inside, where large numbers cancel before they are squared.
         A, B = T @ (np.eye(n) - K @ H), T @ K
         P = A @ P @ A.T + B @ R @ B.T

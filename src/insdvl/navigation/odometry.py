@@ -69,9 +69,10 @@ class Biases:
 
 
 # First elements of the blocks, for the kernel.
-_VELOCITY, _ATTITUDE, _GYROSCOPE_BIAS, _POSITION = (
+_VELOCITY, _ATTITUDE, _HEADING, _GYROSCOPE_BIAS, _POSITION = (
     VELOCITY.start,
     ATTITUDE.start,
+    ATTITUDE.stop - 1,
     GYROSCOPE_BIAS.start,
     POSITION.start,
 )
@@ -116,7 +117,8 @@ def odometry(filter_: Filter, states: Records, k: int) -> Odometry:
 def _odometry(states: Records, k: int, constants: Records, out: Records) -> None:
     """base_link lies at -l from the IMU: p = p_imu - C l, v_b = C_b_n v_imu - w_nb x l.
 
-    With the errors of the model, dp_base = dp + [C l x] psi, and in body axes
+    With the errors of the model, dp_base = dp + [C l x] psi (less [x x] psi for `invariant`, x
+    being the position of the IMU from the reference), and in body axes
     dv_base = C_b_n dv (+ C_b_n [v x] psi for `ned`) - [l x] (db_w + n),  dw_nb = -(db_w + n),
     where n is the white noise of the one sample that the turn rate is measured with, and what its
     saturated or frozen channels do not see.
@@ -132,12 +134,17 @@ def _odometry(states: Records, k: int, constants: Records, out: Records) -> None
     product(N, c.nav, C)
     product(o.C[0], N, c.body)
     quaternions(o.quaternion_xyzw, o.C)
+    if c.invariant:
+        for i in range(3):
+            x[i] = s.nav.r_n[i] - y[i]
     skew(M, x)
     product(N, c.nav, M)
     error_state.set_block(J, 0, _ATTITUDE, 1.0, N)
     error_state.set_block(J, 0, _POSITION, 1.0, c.nav)
     error_state.set_block(J, 3, _ATTITUDE, 1.0, c.nav)
     _congruence(o.pose_covariance, J, s.nav.P, n)
+    if c.invariant:
+        _add_arc(o.pose_covariance, c.nav, x, s.nav.P[_HEADING, _HEADING])
 
     rotate_back(x, C, s.nav.v_n)
     cross(y, s.nav.w_nb_b, c.l_b_imu)
@@ -175,6 +182,21 @@ def _odometry(states: Records, k: int, constants: Records, out: Records) -> None
     for i in range(6):  # the sums of two mirrored elements are rounded in different orders
         for j in range(i):
             o.twist_covariance[j, i] = o.twist_covariance[i, j]
+
+
+@kernel
+def _add_arc(covariance: Array, nav: Array, x_n: Array, variance: float) -> None:
+    """Add the second moment of an arc to the covariance (6, 6) of the pose, horizontally.
+
+    With a heading error h of that variance the true position lies at exp([h e_D x]) x from the
+    reference: beside x by h x, which the Jacobian has, and short of it by (1 - cos h) x, of
+    which the second moment is 3/4 variance^2 x x^T to the leading order.
+    """
+    moment = 0.75 * variance * variance
+    for i in range(3):
+        along_i = nav[i, 0] * x_n[0] + nav[i, 1] * x_n[1]
+        for j in range(3):
+            covariance[i, j] += moment * along_i * (nav[j, 0] * x_n[0] + nav[j, 1] * x_n[1])
 
 
 @kernel

@@ -215,7 +215,7 @@ class Start:
         nav["b_f"] = self._bias(parameters.accelerometer_bias)
         nav["b_w"] = self._bias(parameters.gyroscope_bias)
         nav["optional"] = 0.0
-        nav["C_n_b"], nav["p_n"] = C, initial.p_n + C @ l_b
+        nav["C_n_b"], nav["p_n"], nav["r_n"] = C, initial.p_n + C @ l_b, initial.p_n
         nav["v_n"] = C @ initial.v if in_body else initial.v
         _set_turn_rate(state, vehicle.workspace, vehicle.constants, w_ib_b - nav["b_w"])
         v_arm = C @ np.cross(nav["w_nb_b"], l_b)  # of the IMU against base_link
@@ -238,12 +238,14 @@ class Start:
         T = error_state.from_ordinary_errors(
             C,
             nav["v_n"],
+            nav["p_n"] - nav["r_n"],
             invariant=vehicle.invariant,
             velocity_frame=initial.velocity_frame,
             n=n,
         )
         # From base_link to the IMU: its arm turns with the attitude, at the rate of a noisy sample.
-        T[POSITION, ATTITUDE] = -error_state.cross_matrix(C @ l_b)
+        # The reference is where base_link starts, so for `invariant` the two position terms cancel.
+        T[POSITION, ATTITUDE] -= error_state.cross_matrix(nav["p_n"] - nav["r_n"])
         if not in_body:
             T[VELOCITY, ATTITUDE] -= error_state.cross_matrix(v_arm)
         T[VELOCITY, GYROSCOPE_BIAS] = C @ error_state.cross_matrix(l_b)

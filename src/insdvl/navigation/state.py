@@ -68,6 +68,7 @@ def _nav(n: int) -> tuple[Field, ...]:
         Field("C_n_b", NUMBER, (3, 3)),
         Field("v_n", NUMBER, (3,)),  # m/s
         Field("p_n", NUMBER, (3,)),  # m from the origin
+        Field("r_n", NUMBER, (3,)),  # reference of the position error, m from the origin
         Field("b_f", NUMBER, (3,)),  # accelerometer bias, m/s^2
         Field("b_w", NUMBER, (3,)),  # gyroscope bias, rad/s
         Field("optional", NUMBER, (n - CORE,)),  # states of the blocks that are on, in their order
@@ -275,6 +276,7 @@ def workspace_type(n: int) -> np.dtype[np.void]:
             ("f_n", "f8", (3,)),  # specific force
             ("g_n", "f8", (3,)),
             ("v_n", "f8", (3,)),
+            ("x_n", "f8", (3,)),  # position from the reference
             ("w_ie_n", "f8", (3,)),
             ("w_en_n", "f8", (3,)),
             ("w_in_n", "f8", (3,)),
@@ -303,8 +305,9 @@ def workspace_type(n: int) -> np.dtype[np.void]:
             ("a_n", "f8", (3,)),
             ("w_in_b", "f8", (3,)),
             ("g_b", "f8", (3,)),
-            # Scratch of the error dynamics and the input noise: [v x], another [a x], a block
+            # Scratch of the error dynamics and the input noise: [v x], [x x], another, a block
             ("v_x", "f8", (3, 3)),
+            ("x_x", "f8", (3, 3)),
             ("a_x", "f8", (3, 3)),
             ("block", "f8", (3, 3)),
             # Error dynamics and discretisation

@@ -101,8 +101,8 @@ def mechanise(
     """Advance C_n_b, v_n and p_n of a state over a step.
 
     The workspace has the rate of `coning` in the sample, and keeps the middle of the step for the
-    error dynamics: C_mean, f_n, v_n, g_n, the rates. ``s.nav.w_nb_b`` becomes the turn rate over
-    the step.
+    error dynamics: C_mean, f_n, v_n, x_n, g_n, the rates. ``s.nav.w_nb_b`` becomes the turn rate
+    over the step.
 
     Args:
         f_b: (3,) specific force [m/s^2], bias removed, base_link axes.
@@ -134,6 +134,7 @@ def mechanise(
     navigation_rate(w, w.v_n)
     acceleration(w, w.v_n, w.a_n)
     for i in range(3):
+        w.x_n[i] = s.nav.p_n[i] - s.nav.r_n[i] + 0.5 * dt * s.nav.v_n[i]
         s.nav.p_n[i] += dt * (s.nav.v_n[i] + 0.5 * dt * w.a_n[i])
         s.nav.v_n[i] += dt * w.a_n[i]
 

@@ -274,7 +274,8 @@ def _check(s: State) -> None:
     C = nav["C_n_b"]
     require(np.abs(C @ C.T - np.eye(3)).max() < 1e-6 and np.linalg.det(C) > 0.0, "C_n_b", C)
     require(np.abs(nav["v_n"]).max() <= MAX_SPEED, "v_n", nav["v_n"])
-    require(np.abs(nav["p_n"]).max() <= MAX_DISTANCE, "p_n", nav["p_n"])
+    for name in ("p_n", "r_n"):
+        require(np.abs(nav[name]).max() <= MAX_DISTANCE, name, nav[name])
 
 
 def _holds(field: Field, value: Array, time_ns: int) -> bool:

@@ -175,16 +175,18 @@ class DepthModel(SensorModel[Depth]):
         return "frozen" if least > 0 and (again or least <= repeats + 1) else ""
 
     def linearise(self, state: Records, event: Depth, turn: Turn) -> Linearised:
-        """h = h_s - h_0 + [p_n + C_n_b l]_D, H = [0, -[C_n_b l x]_D, 0, 0, e_D] and 1 for h_s.
+        """h = h_s - h_0 + [p_n + C_n_b l]_D, H = [0, -[a x]_D, 0, 0, e_D] and 1 for h_s.
 
-        The D row of [a x] is (-a_E, a_N, 0): tilt moves the sensor, a turn about the vertical does
-        not.
+        a = C_n_b l for `ned`; for `invariant` a = x + C_n_b l, the sensor from the reference of the
+        position error. The D row of [a x] is (-a_E, a_N, 0): tilt moves the sensor, a turn about
+        the vertical does not.
         """
         vehicle, nav, parameters = self._vehicle, state[0]["nav"], self._parameters
         arm = nav["C_n_b"] @ self._l_b
         surface = parameters.surface_height
         H = np.zeros((1, vehicle.n))
-        H[0, ATTITUDE] = -error_state.cross_matrix(arm)[_DOWN]
+        turned = error_state.turns_position(state[0], invariant=vehicle.invariant)
+        H[0, ATTITUDE] = -(turned + error_state.cross_matrix(arm))[_DOWN]
         H[0, POSITION.start + _DOWN] = 1.0
         if self._surface is not None:
             H[0, self._surface] = 1.0
@@ -224,6 +226,9 @@ class DepthModel(SensorModel[Depth]):
         It is as uncertain as the two are apart, since one of them is wrong.
         """
         nav, down = s["nav"], POSITION.start + _DOWN
+        P = nav["P"]
         nav["p_n"][_DOWN] += innovation[0]
-        nav["P"][down, :] = nav["P"][:, down] = 0.0
-        nav["P"][down, down] = R[0, 0] + innovation[0] ** 2
+        turned = error_state.turns_position(s, invariant=self._vehicle.invariant)[_DOWN]
+        P[down, :] = turned @ P[ATTITUDE, :]
+        P[:, down] = P[down, :]
+        P[down, down] = turned @ P[ATTITUDE, ATTITUDE] @ turned + R[0, 0] + innovation[0] ** 2

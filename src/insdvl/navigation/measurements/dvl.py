@@ -13,6 +13,7 @@ from insdvl.navigation.error_state import (
     ACCELEROMETER_BIAS,
     ATTITUDE,
     GYROSCOPE_BIAS,
+    POSITION,
     VELOCITY,
 )
 from insdvl.navigation.events import MAX_SPEED, MAX_VARIANCE, NS, Limits, Measurement
@@ -246,6 +247,8 @@ class DvlModel(SensorModel[Dvl]):
             A = np.zeros((n, 2))  # of the turns about north and east
             A[ATTITUDE] = np.eye(3)[:, :2]
             A[VELOCITY] = seconds * error_state.cross_matrix(g_n)[:, :2]
+            turned = error_state.turns_position(s, invariant=self._vehicle.invariant)
+            A[POSITION] = turned[:, :2]  # in metres the position stays
             P += sigma**2 * (A @ A.T)
 
     def restart(self, s: State, innovation: Array, R: Array) -> None:
@@ -260,7 +263,12 @@ class DvlModel(SensorModel[Dvl]):
         P[VELOCITY, :] = 0.0
         P[:, VELOCITY] = 0.0
         T = error_state.from_ordinary_errors(
-            nav["C_n_b"], nav["v_n"], invariant=vehicle.invariant, velocity_frame="body", n=n
+            nav["C_n_b"],
+            nav["v_n"],
+            np.zeros(3),  # the position is in the coordinates of the model already
+            invariant=vehicle.invariant,
+            velocity_frame="body",
+            n=n,
         )
         doubt = R + np.outer(innovation, innovation)
         P[VELOCITY, VELOCITY] = self._C_b_d @ doubt @ self._C_b_d.T

@@ -20,6 +20,7 @@ from insdvl.navigation.error_state import (
     GYROSCOPE_BIAS,
     POSITION,
     body_velocity_jacobian,
+    position_error,
 )
 from insdvl.navigation.events import NS, Event, Initial, ProcessNoise
 from insdvl.navigation.measurements.dvl import Dvl
@@ -220,7 +221,12 @@ def assess(fold: FoldResult, run: Run) -> tuple[Array, Array]:
     psi = attitude_error(result.C_n_b[at], truth.C_n_b[at])
     bias = m.bias[at] - np.hstack([s["nav"]["b_f"][at], s["nav"]["b_w"][at]])
     biases = slice(ACCELEROMETER_BIAS.start, GYROSCOPE_BIAS.stop)
-    dp = (truth.p_n - result.p_n)[at]
+    dp = position_error(
+        s["nav"][at],
+        truth.C_n_b[at],
+        truth.p_n[at],
+        invariant=fold.filter.vehicle.invariant,
+    )
     for name, error, covariance in (
         ("nees_velocity", dv, P_va[:, :3, :3]),
         ("nees_attitude", psi, P_va[:, 3:, 3:]),

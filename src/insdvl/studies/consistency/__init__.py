@@ -1,0 +1,1 @@
+"""Is the filter as good as it says? Missions of known truth, many of each, against its sigmas."""

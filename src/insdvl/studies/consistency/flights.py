@@ -1,0 +1,233 @@
+"""A mission whose initial error is drawn from P_0, and the errors of the filter's position in it.
+
+All runs of a case differ in their random numbers only, and two cases of the same seed differ in
+what they declare only: noise, biases and the unit normal numbers of the initial error are the same.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from insdvl.arrays import Array
+from insdvl.navigation.channels import ImuParameters
+from insdvl.navigation.error_state import HORIZONTAL_POSITION, position_error
+from insdvl.navigation.events import Event, Initial
+from insdvl.navigation.gate import GateParameters
+from insdvl.navigation.geometry.earth import latitude
+from insdvl.navigation.measurements.dvl import Dvl, DvlParameters
+from insdvl.navigation.odometry import odometry
+from insdvl.navigation.parameters import FilterParameters
+from insdvl.navigation.process_noise.parameters import ProcessNoiseParameters
+from insdvl.navigation.start import InitialParameters, OriginParameters
+from insdvl.simulation.dvl import DvlModel
+from insdvl.simulation.grades import Grade
+from insdvl.simulation.mission import Mission, simulate
+from insdvl.simulation.noise import constant
+from insdvl.simulation.trajectories import Channel, Ramp, Trajectory, Truth, Wave
+from insdvl.timeline.recorded import fold_arrays
+
+#: An AUV that goes out and comes part of the way back: 1.08 km in 600 s, at most 0.6 km away.
+TRANSIT = Trajectory(
+    duration=600.0,
+    speed=Channel(1.8, waves=(Wave(0.1, 47.0),)),
+    heading=Channel(
+        math.radians(20.0),
+        ramps=(
+            Ramp(60.0, 75.0, math.radians(50.0)),
+            Ramp(150.0, 165.0, math.radians(-80.0)),
+            Ramp(240.0, 255.0, math.radians(40.0)),
+            Ramp(330.0, 345.0, math.radians(60.0)),
+            Ramp(420.0, 450.0, math.radians(120.0)),
+            Ramp(510.0, 525.0, math.radians(-50.0)),
+        ),
+        waves=(Wave(math.radians(0.8), 31.0),),
+    ),
+    pitch=Channel(waves=(Wave(math.radians(0.6), 23.0, 0.5),)),
+    roll=Channel(waves=(Wave(math.radians(0.6), 19.0, 1.0),)),
+    bank=0.4,
+    pivot=0.4,
+    h_0=-20.0,
+)
+
+#: Probability of the published ellipse.
+ELLIPSE = 0.95
+
+#: Streams of a run beside those of its mission.
+_INITIAL, _EVENTS = 1, 2
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is flown, and what the filter is told of it.
+
+    Attributes:
+        grade: Of the IMU.
+        heading_std_deg: One sigma of the initial heading.
+        uniform_heading: Whether the true heading is anything at all, each as likely.
+        start: (3,) true start in odom, north-east-down [m].
+        position_std: One sigma of each axis of the initial position [m].
+        duration: [s].
+        earth_rate: Whether the Earth turns, in truth and for the filter.
+        dvl_std: White noise of each component of the DVL, one sigma [m/s].
+        dvl_rate: Its pings per second [Hz].
+        error_state: Of the filter.
+    """
+
+    grade: Grade
+    heading_std_deg: float
+    uniform_heading: bool = False
+    start: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    position_std: float = 0.1
+    duration: float = 600.0
+    earth_rate: bool = True
+    dvl_std: float = 0.02
+    dvl_rate: float = 1.0
+    error_state: str = "invariant"
+
+
+@dataclass(frozen=True)
+class Flight:
+    """Errors at every full second (K,) of one run.
+
+    Attributes:
+        nees: Of the horizontal position in the coordinates of the model, per degree of freedom.
+        inside: Whether the true position is inside the published ellipse of `ELLIPSE`.
+        error: Horizontal distance from the true position [m].
+        heading_deg: Error of the heading, within +-180.
+    """
+
+    nees: Array
+    inside: Array
+    error: Array
+    heading_deg: Array
+
+
+#: Makes further events of a run, from its mission and a generator of its own.
+EventSource = Callable[[Mission, np.random.Generator], Sequence[Event]]
+
+
+def parameters(case: Case) -> FilterParameters:
+    """The filter of a case: it knows all sigmas, and starts on the initial state it is given."""
+    grade = case.grade
+    return FilterParameters(
+        frame_convention="ned",
+        error_state=case.error_state,
+        earth_rate=case.earth_rate,
+        imu=ImuParameters(rate=grade.rate),
+        dvl=DvlParameters(noise_std=(case.dvl_std,) * 3),
+        gate=GateParameters(enabled=False),
+        process_noise=ProcessNoiseParameters(
+            accelerometer_variance=(grade.accelerometer_variance,) * 3,
+            gyroscope_variance=(grade.gyroscope_variance,) * 3,
+            accelerometer_bias_walk=0.0,
+            gyroscope_bias_walk=0.0,
+        ),
+        initial=InitialParameters(
+            mode="set_odometry",
+            heading_std=math.radians(case.heading_std_deg),
+            position_std=case.position_std,
+            accelerometer_bias_std=grade.accelerometer_bias_std,
+            gyroscope_bias_std=grade.gyroscope_bias_std,
+        ),
+        origin=OriginParameters(height=TRANSIT.h_0),
+    )
+
+
+def initial_state(case: Case, truth: Truth, rng: np.random.Generator) -> Initial:
+    """The true start, less an error drawn from P_0."""
+    sigma = parameters(case).initial
+    psi = rng.standard_normal(3) * sigma.attitude_std
+    anything = rng.uniform(-math.pi, math.pi)
+    if case.uniform_heading:
+        psi[2] = anything
+    C = truth.C_n_b[0]
+    return Initial(
+        stamp_ns=0,
+        C_n_b=Rotation.from_rotvec(psi).as_matrix().T @ C,
+        p_n=truth.p_n[0] + case.start - case.position_std * rng.standard_normal(3),
+        v=C.T @ truth.v_n[0] - sigma.velocity_std * rng.standard_normal(3),
+        velocity_frame="body",
+    )
+
+
+def moved(mission: Mission, start: tuple[float, float, float]) -> Mission:
+    """The mission, counted from another origin of odom."""
+    truth, initial = mission.truth, mission.initial
+    return replace(
+        mission,
+        truth=replace(truth, p_n=truth.p_n + start),
+        initial=replace(initial, p_n=initial.p_n + start),
+    )
+
+
+def fly(
+    case: Case,
+    seed: int,
+    *,
+    settings: FilterParameters | None = None,
+    events: EventSource | None = None,
+) -> Flight:
+    """One run of a case.
+
+    Args:
+        case: What is flown.
+        seed: Of all that is random.
+        settings: In place of `parameters`, with sensors that the case does not know.
+        events: Further events, such as measurements of these sensors; their mission is counted
+            from the origin of odom.
+    """
+    mission = simulate(
+        trajectory_from(case.start),
+        constant(case.grade.variances),
+        seed=seed,
+        duration=case.duration,
+        imu=case.grade.model,
+        dvl=DvlModel(rate=case.dvl_rate, noise_std=np.full(3, case.dvl_std)),
+        earth_rate=case.earth_rate,
+    )
+    initial = initial_state(case, mission.initial, np.random.default_rng([seed, _INITIAL]))
+    mission = moved(mission, case.start)
+    more = events(mission, np.random.default_rng([seed, _EVENTS])) if events else ()
+    pings = zip(mission.dvl_stamps_ns.tolist(), mission.v_d, strict=True)
+    result = fold_arrays(
+        settings or parameters(case),
+        mission.stamps_ns,
+        mission.f_b,
+        mission.w_ib_b,
+        [initial, *(Dvl(stamp_ns, v_d) for stamp_ns, v_d in pings), *more],
+    )
+    second = round(case.grade.rate)
+    at = slice(second - 1, None, second)
+    states = result.states[at].copy()
+    truth, nav = mission.truth, states["nav"]
+    e = position_error(
+        nav, truth.C_n_b[at], truth.p_n[at], invariant=case.error_state == "invariant"
+    )[:, :2]
+    P = nav["P"][:, HORIZONTAL_POSITION, HORIZONTAL_POSITION]
+    published = [odometry(result.filter, states, k) for k in range(len(states))]
+    d = truth.p_n[at, :2] - np.array([o.position[:2] for o in published])
+    covariance = np.array([o.pose_covariance[:2, :2] for o in published])
+    turn = truth.C_n_b[at] @ np.swapaxes(nav["C_n_b"], 1, 2)
+    return Flight(
+        nees=_squared(e, P) / 2.0,
+        inside=_squared(d, covariance) <= chi2.ppf(ELLIPSE, 2),
+        error=np.hypot(d[:, 0], d[:, 1]),
+        heading_deg=np.degrees(Rotation.from_matrix(turn).as_rotvec()[:, 2]),
+    )
+
+
+def trajectory_from(start: tuple[float, float, float]) -> Trajectory:
+    """`TRANSIT` at its place on the Earth, which is `start` from the origin of odom."""
+    origin = OriginParameters(height=TRANSIT.h_0)
+    h_0 = origin.height
+    lat_0 = math.radians(origin.latitude_deg)
+    return replace(TRANSIT, lat_0=latitude(lat_0, h_0, start[0]), h_0=h_0 - start[2])
+
+
+def _squared(e: Array, P: Array) -> Array:
+    """e^T P^-1 e of errors (K, m) and covariances (K, m, m)."""
+    return np.asarray(np.einsum("ki,ki->k", e, np.linalg.solve(P, e[..., None])[..., 0]))
