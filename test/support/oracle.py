@@ -3,8 +3,9 @@
 Nothing here is taken from insdvl. Rotations are scipy's, their means come from quadrature, and the
 matrices of the invariant error from those of the plain one by the change of coordinates
 
-    x_invariant = T x_ned,  T = [[I, [v x]], [0, I]]  in velocity and attitude,
+    x_invariant = T x_ned,  T = I + [v x] in (velocity, attitude) + [(p - r) x] in (position, attitude),
 
+with r the start,
 so F = T F_ned T^-1 + T' T^-1, G = T G_ned, H = H_ned T^-1.
 """
 
@@ -69,6 +70,7 @@ class DenseFilter:
     C: np.ndarray
     v: np.ndarray
     p: np.ndarray
+    r: np.ndarray
     P: np.ndarray
     eps_f: float = 0.0
     eps_w: float = 0.0
@@ -90,11 +92,12 @@ class DenseFilter:
         *_, north = wgs84(self.lat_0, self.h_0)
         return wgs84(self.lat_0 + self.p[0] / (north + self.h_0), self.h_0 - self.p[2])[:3]
 
-    def coordinates(self, v):
+    def coordinates(self, v, p):
         """T: from plain errors to those of the model."""
         T = np.eye(self.n)
         if self.invariant:
             T[V, A] = skew(v)
+            T[P, A] = skew(p - self.r)
         return T
 
     def predict(self, f_b, w_ib_b, dt, Q_f, Q_w, w_before=None, sample=0.0):
@@ -117,6 +120,7 @@ class DenseFilter:
 
         v_mid = self.v + dt / 2 * acceleration(self.v)
         a = acceleration(v_mid)
+        p_mid = self.p + dt / 2 * self.v
         self.p = self.p + dt * self.v + dt**2 / 2 * a
         self.v = self.v + dt * a
         self.C = exp(-(w_ie + W_v @ v_mid) * dt) @ self.C @ exp(w_ib_b * dt)
@@ -135,9 +139,9 @@ class DenseFilter:
         dynamics[P, V] = I3
         G[V, V], G[A, A], G[F, F], G[W, W] = -C_mid, -C_mid, I3, I3
         Q[V, V], Q[A, A], Q[F, F], Q[W, W] = Q_f, Q_w, self.eps_f * I3, self.eps_w * I3
-        T, T_dot = self.coordinates(v_mid), np.zeros((n, n))
+        T, T_dot = self.coordinates(v_mid, p_mid), np.zeros((n, n))
         if self.invariant:
-            T_dot[V, A] = skew(a)
+            T_dot[V, A], T_dot[P, A] = skew(a), skew(v_mid)
         back = 2 * np.eye(n) - T  # T^-1, since (T - I)^2 = 0
         dynamics, G = T @ dynamics @ back + T_dot @ back, T @ G
         noise = G @ Q @ G.T
@@ -179,7 +183,7 @@ class DenseFilter:
         if self.n > 15:
             H[:, D] = I3
             h = h + self.b_d
-        H = H @ (2 * np.eye(self.n) - self.coordinates(self.v))
+        H = H @ (2 * np.eye(self.n) - self.coordinates(self.v, self.p))
         R = R + l_x @ Q_w_there @ l_x.T
         S = H @ self.P @ H.T + R
         nu = v_d - h
@@ -192,8 +196,10 @@ class DenseFilter:
         x = K @ nu
         turn = exp(x[A])
         self.C = turn @ self.C
-        self.v = (turn @ self.v if self.invariant else self.v) + x[V]
-        self.b_f, self.b_w, self.p = self.b_f + x[F], self.b_w + x[W], self.p + x[P]
+        if self.invariant:
+            self.v, self.p = turn @ self.v, self.r + turn @ (self.p - self.r)
+        self.v, self.p = self.v + x[V], self.p + x[P]
+        self.b_f, self.b_w = self.b_f + x[F], self.b_w + x[W]
         if self.n > 15:
             self.b_d = self.b_d + x[D]
         return nu, S, nis, True

@@ -22,6 +22,7 @@ from insdvl.navigation.error_state import (
     POSITION,
     VELOCITY,
     body_velocity_jacobian,
+    position_error,
 )
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import (
@@ -186,7 +187,10 @@ def block_errors(
         "attitude": (psi, P[ATTITUDE, ATTITUDE]),
         "velocity and attitude": (np.concatenate([truth.v_n[k] - v_turned, psi]), P[both, both]),
         "biases": (db, P[biases, biases]),
-        "position": (truth.p_n[k] - s["nav"]["p_n"], P[POSITION, POSITION]),
+        "position": (
+            position_error(s["nav"], C, truth.p_n[k], invariant=invariant),
+            P[POSITION, POSITION],
+        ),
     }
 
 

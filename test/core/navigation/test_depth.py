@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from insdvl.navigation.error_state import ATTITUDE, POSITION, VELOCITY
+from insdvl.navigation.error_state import ATTITUDE, POSITION, VELOCITY, position_error
 from insdvl.navigation.events import NS, Event, Initial, refusal
 from insdvl.navigation.filter import Filter
 from insdvl.navigation.geometry.earth import gravity
@@ -107,7 +107,8 @@ def state_at(filter_: Filter, x: np.ndarray, *, invariant: bool) -> Any:
     turn = Rotation.from_rotvec(x[ATTITUDE]).as_matrix()
     nav["C_n_b"] = turn @ C
     nav["v_n"] = (turn @ v_n if invariant else v_n) + x[VELOCITY]
-    nav["p_n"] = np.array([50.0, -20.0, 12.0]) + x[POSITION]
+    p_n, nav["r_n"] = np.array([50.0, -20.0, 12.0]), [10.0, 30.0, 1.0]
+    nav["p_n"] = (nav["r_n"] + turn @ (p_n - nav["r_n"]) if invariant else p_n) + x[POSITION]
     nav["optional"][: len(x) - 15] = 4.0 + x[15:]
     nav["time_ns"], nav["initialised"] = NS, 1
     return state
@@ -231,7 +232,7 @@ def test_the_vertical_channel_is_consistent(surface_std: float) -> None:
         C_true, C_hat = m.truth.C_n_b[-1], s["C_n_b"]
         error = np.zeros(len(P))
         error[VELOCITY] = m.truth.v_n[-1] - C_true @ C_hat.T @ s["v_n"]
-        error[POSITION] = m.truth.p_n[-1] - s["p_n"]
+        error[POSITION] = position_error(s, C_true, m.truth.p_n[-1], invariant=True)
         error[15:] = 0.0 - s["optional"][: len(P) - 15]
         rows = [VELOCITY.start + 2, DOWN, 15][:n]
         nees.append(error[rows] @ np.linalg.solve(P[np.ix_(rows, rows)], error[rows]))

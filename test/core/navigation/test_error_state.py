@@ -1,7 +1,8 @@
 """F, Phi, G, H, the injection and the changes of coordinates against the code that they stand for.
 
 Derivatives are central differences of nine points with large steps, through the definition of the
-error: C_true = exp([psi x]) C, v_true = v + dv or exp([psi x]) v + dv, and sums for all else.
+error: C_true = exp([psi x]) C, v_true = v + dv or exp([psi x]) v + dv, p_true = p + dp or
+r + exp([psi x]) (p - r) + dp, and sums for all else.
 """
 
 import numpy as np
@@ -43,7 +44,7 @@ STEPS = (
     (DVL_ERROR, 0.1),
     (DVL_MOUNT, 0.1),
 )
-NOMINAL = ("C_n_b", "v_n", "b_f", "b_w", "p_n", "optional")
+NOMINAL = ("C_n_b", "v_n", "b_f", "b_w", "p_n", "r_n", "optional")
 
 
 def random_spd(rng, scale):
@@ -83,7 +84,8 @@ class Case:
             "v_n": speed * unit(rng),
             "b_f": rng.uniform(-0.1, 0.1, 3),
             "b_w": rng.uniform(-0.01, 0.01, 3),
-            "p_n": rng.uniform(-100.0, 100.0, 3),
+            "p_n": rng.uniform(-20.0, 20.0, 3),
+            "r_n": np.array([5.0, -3.0, 2.0]),
             "optional": optional(rng.uniform(-0.1, 0.1, 3 if self.n < 21 else 6)),
         }
         self.f_b = np.array([0.0, 0.0, -9.8]) + rng.uniform(-2.0, 2.0, 3)
@@ -105,9 +107,27 @@ class Case:
             "v_n": v_n + x[VELOCITY],
             "b_f": nominal["b_f"] + x[ACCELEROMETER_BIAS],
             "b_w": nominal["b_w"] + x[GYROSCOPE_BIAS],
-            "p_n": nominal["p_n"] + x[POSITION],
+            "p_n": self.turned_position(turn, nominal) + x[POSITION],
+            "r_n": nominal["r_n"],
             "optional": nominal["optional"] + optional(x[15:]),
         }
+
+    def turned_position(self, turn, nominal):
+        """The nominal position when the path since the reference is turned, for `invariant`."""
+        r_n = nominal["r_n"]
+        return r_n + turn @ (nominal["p_n"] - r_n) if self.invariant else nominal["p_n"]
+
+    def ordinary(self, J):
+        """J (..., n) with the derivatives by psi taken at the position, not at dp_i.
+
+        What is left out of a matrix in the columns of position comes back in those of the attitude,
+        since dp = dp_i - [x x] psi.
+        """
+        J = J.copy()
+        if self.invariant:
+            x_n = self.nominal["p_n"] - self.nominal["r_n"]
+            J[..., ATTITUDE] += J[..., POSITION] @ skew(x_n)
+        return J
 
     def minus(self, true, nominal):
         """The error (n,) by which a true state differs from a nominal one."""
@@ -118,7 +138,7 @@ class Case:
         x[ATTITUDE] = Rotation.from_matrix(turn).as_rotvec()
         x[ACCELEROMETER_BIAS] = true["b_f"] - nominal["b_f"]
         x[GYROSCOPE_BIAS] = true["b_w"] - nominal["b_w"]
-        x[POSITION] = true["p_n"] - nominal["p_n"]
+        x[POSITION] = true["p_n"] - self.turned_position(turn, nominal)
         x[15:] = (true["optional"] - nominal["optional"])[: self.n - 15]
         return x
 
@@ -200,7 +220,7 @@ def test_dynamics(model, seed):
     """(Phi - I) / dt over 2e-5 s; the columns of position are in the next test."""
     case, dt = Case(model, seed), 2e-5
     F, Phi = case.model(dt)
-    measured = (case.transition(dt) - np.eye(15)) / dt
+    measured = case.ordinary(case.transition(dt) - np.eye(15)) / dt
     keep = np.delete(np.arange(15), np.arange(15)[POSITION])
     np.testing.assert_allclose(measured[:, keep], ((Phi - np.eye(15)) / dt)[:, keep], atol=1e-8)
     np.testing.assert_allclose(measured[:, keep], F[:, keep], atol=1e-3)  # Phi is that of F
@@ -228,7 +248,7 @@ def test_transition_is_of_second_order(model):
         errors = []
         for dt in (0.02, 0.01, 0.005):
             _, Phi = case.model(dt)
-            errors.append(abs(case.transition(dt) - Phi)[:15, keep].max())
+            errors.append(abs(case.ordinary(case.transition(dt) - Phi))[:15, keep].max())
         orders = np.log2(np.divide(errors[:-1], errors[1:]))
         assert (orders > 2.8).all(), (orders, errors)
         assert errors[1] < 5e-6
@@ -394,9 +414,11 @@ def test_initial_errors_to_those_of_the_model(model, velocity_frame):
     """A true state with an error in the declared velocity, in the model's coordinates."""
     case = Case(model, 8)
     C_n_b, v_n = case.nominal["C_n_b"], case.nominal["v_n"]
+    x_n = case.nominal["p_n"] - case.nominal["r_n"]
 
     def error(x):
         true = case.plus(case.nominal, x)
+        true["p_n"] = case.nominal["p_n"] + x[POSITION]
         if velocity_frame == "body":
             true["v_n"] = true["C_n_b"] @ (C_n_b.T @ v_n + x[VELOCITY])
         else:
@@ -404,7 +426,7 @@ def test_initial_errors_to_those_of_the_model(model, velocity_frame):
         return case.minus(true, case.nominal)
 
     T = error_state.from_ordinary_errors(
-        C_n_b, v_n, invariant=case.invariant, velocity_frame=velocity_frame, n=15
+        C_n_b, v_n, x_n, invariant=case.invariant, velocity_frame=velocity_frame, n=15
     )
     np.testing.assert_allclose(T, case.jacobian(error), atol=1e-8)
 

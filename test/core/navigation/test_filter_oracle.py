@@ -93,6 +93,7 @@ def dense_filter(parameters, w_ib_b):
         C=C,
         v=np.zeros(3),
         p=np.array(initial.position) + C @ l_imu,
+        r=np.array(initial.position),
         P=np.zeros((n, n)),
         eps_f=parameters.process_noise.accelerometer_bias_walk,
         eps_w=parameters.process_noise.gyroscope_bias_walk,

@@ -95,8 +95,11 @@ def sampled_covariance(settings: FilterParameters, s: np.void, **P: np.ndarray) 
     v = np.einsum("kij,kj->ki", C, V_BODY + dv) if in_body else C_HAT @ V_BODY + dv
     v = v + np.einsum("kij,kj->ki", C, v_arm)
     p = np.array([3.0, -2.0, 1.0]) + dp + C @ arm
-    v_hat = turn @ s["nav"]["v_n"] if invariant else s["nav"]["v_n"]
-    errors = np.concatenate([v - v_hat, psi, db_f, db_w, p - s["nav"]["p_n"], b_d], axis=1)
+    v_hat, p_hat = s["nav"]["v_n"], s["nav"]["p_n"]
+    if invariant:
+        r_n = s["nav"]["r_n"]
+        v_hat, p_hat = turn @ v_hat, r_n + turn @ (p_hat - r_n)
+    errors = np.concatenate([v - v_hat, psi, db_f, db_w, p - p_hat, b_d], axis=1)
     return np.cov(errors.T)
 
 
