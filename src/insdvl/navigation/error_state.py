@@ -269,6 +269,33 @@ def _propagate_optional(P: Array, w: Workspace, n: int) -> None:
 
 
 @kernel
+def bend(s: State, w: Workspace, c: Constants, dt: float) -> None:
+    """Add to P what a gyroscope bias, which turns the heading while the path grows, makes of it.
+
+    With a heading error h that changes, dp' has a term of second order, h h' x, horizontally. An
+    unknown bias b about the vertical makes it so persistent that it adds up, as one sigma, to
+    m = int sqrt(E[(h b)^2]) x dt, and E[(h b)^2] = P_hh P_bb + 2 P_hb^2. No velocity tells it: in P
+    it stays m m^T until a position is measured.
+    """
+    nav, P = s.nav, s.nav.P
+    heading = _A + 2
+    P_bb, P_hb = 0.0, 0.0
+    for i in range(3):
+        P_hb += P[heading, _W + i] * w.C_mean[2, i]
+        for j in range(3):
+            P_bb += w.C_mean[2, i] * P[_W + i, _W + j] * w.C_mean[2, j]
+    sigma = np.sqrt(max(P[heading, heading] * P_bb + 2.0 * P_hb * P_hb, 0.0))
+    for i in range(2):
+        for j in range(2):
+            P[_P + i, _P + j] -= nav.bend_n[i] * nav.bend_n[j]
+    for i in range(2):
+        nav.bend_n[i] += dt * sigma * w.x_n[i]
+    for i in range(2):
+        for j in range(2):
+            P[_P + i, _P + j] += nav.bend_n[i] * nav.bend_n[j]
+
+
+@kernel
 def inject(s: State, c: Constants, dx: Array) -> None:
     """Move the nominal state by the error dx (n,), without a reset Jacobian.
 
@@ -348,6 +375,7 @@ def move_reference(s: State) -> None:
         return
     d = float(np.clip(lever @ P[POSITION, heading] / denominator, 0.0, 1.0)) * x_n
     nav["r_n"] += d
+    nav["bend_n"] = 0.0
     T = -cross_matrix(d)
     P[POSITION, :] += T @ P[ATTITUDE, :]
     P[:, POSITION] += P[:, ATTITUDE] @ T.T

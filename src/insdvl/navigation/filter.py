@@ -148,6 +148,8 @@ def _advance(
                     total += noise.root[i, a] * noise.root[j, a]
                 w.Q_d[i, j] += dt * total
     error_state.propagate(nav.P, w, c.n)
+    if c.invariant:
+        error_state.bend(s, w, c, dt)
     nav.time_ns = to_ns
 
 

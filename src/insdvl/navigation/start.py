@@ -216,6 +216,7 @@ class Start:
         nav["b_w"] = self._bias(parameters.gyroscope_bias)
         nav["optional"] = 0.0
         nav["C_n_b"], nav["p_n"], nav["r_n"] = C, initial.p_n + C @ l_b, initial.p_n
+        nav["bend_n"] = 0.0
         nav["v_n"] = C @ initial.v if in_body else initial.v
         _set_turn_rate(state, vehicle.workspace, vehicle.constants, w_ib_b - nav["b_w"])
         v_arm = C @ np.cross(nav["w_nb_b"], l_b)  # of the IMU against base_link

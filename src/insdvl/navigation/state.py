@@ -69,6 +69,7 @@ def _nav(n: int) -> tuple[Field, ...]:
         Field("v_n", NUMBER, (3,)),  # m/s
         Field("p_n", NUMBER, (3,)),  # m from the origin
         Field("r_n", NUMBER, (3,)),  # reference of the position error, m from the origin
+        Field("bend_n", NUMBER, (2,)),  # of the path by the gyroscope's bias, one sigma, m
         Field("b_f", NUMBER, (3,)),  # accelerometer bias, m/s^2
         Field("b_w", NUMBER, (3,)),  # gyroscope bias, rad/s
         Field("optional", NUMBER, (n - CORE,)),  # states of the blocks that are on, in their order

@@ -337,7 +337,7 @@ def test_an_estimated_mount_adds_to_that_of_the_parameters():
 @pytest.mark.parametrize("seed", range(5))
 def test_input_noise(model, seed):
     """Q_d / dt is G Q G^T with G the response of the step to the samples' errors."""
-    case, dt = Case(model, seed), 2e-5
+    case, dt = Case(model, seed), 1e-5
     case.model(dt)
     error_state.input_noise(
         case.record(case.nominal)[0], case.workspace, case.constants, case.Q_f, case.Q_w, dt
@@ -354,7 +354,7 @@ def test_input_noise(model, seed):
     Q = np.zeros((12, 12))
     Q[:3, :3], Q[3:6, 3:6] = case.Q_f, case.Q_w
     Q[6:9, 6:9], Q[9:12, 9:12] = 3e-4 * np.eye(3), 2e-5 * np.eye(3)
-    # Position hears of it over half a step: 1e-5 s times the velocity's.
+    # Position hears of it over half a step: 5e-6 s times the velocity's.
     np.testing.assert_allclose(Q_d / dt, G @ Q @ G.T, atol=1e-7)
 
 

@@ -122,7 +122,7 @@ def dense_filter(parameters, w_ib_b):
     T[oracle.V, oracle.V], T[oracle.V, oracle.A] = C, -oracle.skew(dense.v)
     T[oracle.P, oracle.A] = -oracle.skew(C @ l_imu)
     T[oracle.V, oracle.W] = C @ oracle.skew(l_imu)
-    T = dense.coordinates(dense.v) @ T
+    T = dense.coordinates(dense.v, dense.p) @ T
     dense.P = T @ np.diag(sigmas**2) @ T.T
     noise = parameters.process_noise
     variance = np.array(noise.gyroscope_variance) * (
