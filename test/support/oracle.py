@@ -83,6 +83,7 @@ class DenseFilter:
     b_f: np.ndarray = field(default_factory=lambda: np.zeros(3))
     b_w: np.ndarray = field(default_factory=lambda: np.zeros(3))
     b_d: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    bend: np.ndarray = field(default_factory=lambda: np.zeros(2))
 
     @property
     def n(self):
@@ -159,6 +160,15 @@ class DenseFilter:
             self.P = Phi @ (self.P + half) @ Phi.T + half
             if n > 15:
                 self.P[D, D] += np.diag(self.dvl_std**2) * (1 - np.exp(-2 * beta * dt))
+
+        if self.invariant:
+            down = np.zeros((2, n))
+            down[0, 5], down[1, W] = 1.0, C_mid[2]  # heading and the bias about the vertical
+            (hh, hb), (_, bb) = down @ self.P @ down.T
+            horizontal = slice(P.start, P.start + 2)
+            before = np.outer(self.bend, self.bend)
+            self.bend = self.bend + dt * np.sqrt(hh * bb + 2 * hb**2) * (p_mid - self.r)[:2]
+            self.P[horizontal, horizontal] += np.outer(self.bend, self.bend) - before
 
     def update(self, v_d, R, w_ib_b, Q_w_there):
         """Correct with a DVL velocity.

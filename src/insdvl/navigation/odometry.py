@@ -195,8 +195,10 @@ def _add_arc(covariance: Array, nav: Array, x_n: Array, variance: float) -> None
     moment = 0.75 * variance * variance
     for i in range(3):
         along_i = nav[i, 0] * x_n[0] + nav[i, 1] * x_n[1]
-        for j in range(3):
-            covariance[i, j] += moment * along_i * (nav[j, 0] * x_n[0] + nav[j, 1] * x_n[1])
+        for j in range(i + 1):
+            along_j = nav[j, 0] * x_n[0] + nav[j, 1] * x_n[1]
+            covariance[i, j] += moment * along_i * along_j
+            covariance[j, i] = covariance[i, j]
 
 
 @kernel

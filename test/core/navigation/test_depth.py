@@ -107,7 +107,7 @@ def state_at(filter_: Filter, x: np.ndarray, *, invariant: bool) -> Any:
     turn = Rotation.from_rotvec(x[ATTITUDE]).as_matrix()
     nav["C_n_b"] = turn @ C
     nav["v_n"] = (turn @ v_n if invariant else v_n) + x[VELOCITY]
-    p_n, nav["r_n"] = np.array([50.0, -20.0, 12.0]), [10.0, 30.0, 1.0]
+    p_n, nav["r_n"] = np.array([50.0, -20.0, 12.0]), [49.2, -20.7, 11.0]
     nav["p_n"] = (nav["r_n"] + turn @ (p_n - nav["r_n"]) if invariant else p_n) + x[POSITION]
     nav["optional"][: len(x) - 15] = 4.0 + x[15:]
     nav["time_ns"], nav["initialised"] = NS, 1

@@ -53,6 +53,27 @@ TRANSIT = Trajectory(
     h_0=-20.0,
 )
 
+_LEG, _TURN = 60.0, 24.0  # s
+
+
+def _survey() -> Trajectory:
+    """Parallel legs, joined by half circles that alternate in sense: 1.08 km in 600 s."""
+    period = _LEG + _TURN
+    turns = [
+        Ramp(k * period + _LEG, (k + 1) * period, (-1) ** k * math.pi)
+        for k in range(int(600.0 / period))
+    ]
+    return replace(
+        TRANSIT,
+        heading=Channel(
+            math.radians(20.0), ramps=tuple(turns), waves=(Wave(math.radians(0.8), 31.0),)
+        ),
+    )
+
+
+#: A lawn mower: at most 0.2 km from the start.
+SURVEY = _survey()
+
 #: Probability of the published ellipse.
 ELLIPSE = 0.95
 
@@ -75,6 +96,7 @@ class Case:
         dvl_std: White noise of each component of the DVL, one sigma [m/s].
         dvl_rate: Its pings per second [Hz].
         error_state: Of the filter.
+        trajectory: The motion.
     """
 
     grade: Grade
@@ -87,6 +109,7 @@ class Case:
     dvl_std: float = 0.02
     dvl_rate: float = 1.0
     error_state: str = "invariant"
+    trajectory: Trajectory = TRANSIT
 
 
 @dataclass(frozen=True)
@@ -181,7 +204,7 @@ def fly(
             from the origin of odom.
     """
     mission = simulate(
-        trajectory_from(case.start),
+        trajectory_from(case.trajectory, case.start),
         constant(case.grade.variances),
         seed=seed,
         duration=case.duration,
@@ -220,12 +243,12 @@ def fly(
     )
 
 
-def trajectory_from(start: tuple[float, float, float]) -> Trajectory:
-    """`TRANSIT` at its place on the Earth, which is `start` from the origin of odom."""
+def trajectory_from(trajectory: Trajectory, start: tuple[float, float, float]) -> Trajectory:
+    """The motion at its place on the Earth, which is `start` from the origin of odom."""
     origin = OriginParameters(height=TRANSIT.h_0)
     h_0 = origin.height
     lat_0 = math.radians(origin.latitude_deg)
-    return replace(TRANSIT, lat_0=latitude(lat_0, h_0, start[0]), h_0=h_0 - start[2])
+    return replace(trajectory, lat_0=latitude(lat_0, h_0, start[0]), h_0=h_0 - start[2])
 
 
 def _squared(e: Array, P: Array) -> Array:
