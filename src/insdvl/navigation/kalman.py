@@ -210,10 +210,8 @@ def correct(
     R, n = prior.R, len(prior.K)
     P = before["nav"]["P"][0][:n, :n]
     H, K, innovation = prior.H, prior.K, prior.innovation
-    # Errors of the corrected state, by those of the prior that are left.
-    T = np.eye(n)
-    if iterate and H[:, POSITION].any():
-        T[POSITION, ATTITUDE] = error_state.cross_matrix((K @ innovation)[POSITION])
+    T = np.eye(n)  # errors of the corrected state, by those of the prior that are left
+    tells_position = iterate and bool(H[:, POSITION].any())
     smallest, corrected, used, left = np.inf, state.copy(), (H, K, T), prior.innovation
     for _ in range(_ITERATIONS):
         dx = K @ innovation
@@ -223,6 +221,8 @@ def correct(
         bend = again.z_minus_h - expected
         size = bend @ bend / (np.trace(R) / len(R))
         if size < smallest:  # should the iteration lead away, the best correction stands
+            if tells_position:
+                T[POSITION, ATTITUDE] = error_state.cross_matrix(dx[POSITION])
             smallest, corrected, used = size, state.copy(), (H, K, T)
             left = again.z_minus_h
         if size < _BEND or not np.isfinite(size) or not iterate:
