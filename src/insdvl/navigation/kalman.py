@@ -18,6 +18,9 @@ from insdvl.navigation.measurements.base import Linearised
 #: An update is iterated while h bends by more than the mean sigma of R, but not for ever: each
 #: iteration leaves a fraction.
 _BEND = 1.0  # (sigma)^2
+#: And a measurement of the position while its H turns by more than this part of R, as the heading
+#: that is still unknown sees it.
+_TURNED = 0.01
 _ITERATIONS = 10
 #: Smallest pivot of S, relative to its diagonal: below it the gain would be rounding.
 _LEAST_PIVOT = 1e-10
@@ -220,12 +223,16 @@ def correct(
         again = relinearise()
         bend = again.z_minus_h - expected
         size = bend @ bend / (np.trace(R) / len(R))
-        if size < smallest:  # should the iteration lead away, the best correction stands
-            if tells_position:
-                T[POSITION, ATTITUDE] = error_state.cross_matrix(dx[POSITION])
-            smallest, corrected, used = size, state.copy(), (H, K, T)
+        turned = 0.0
+        if tells_position:
+            T[POSITION, ATTITUDE] = error_state.cross_matrix(dx[POSITION])
+            D = again.H @ T - H
+            turned = np.trace(D @ state["nav"]["P"][0][:n, :n] @ D.T) / np.trace(R)
+        if size + turned < smallest:  # should the iteration lead away, the best correction stands
+            smallest, corrected, used = size + turned, state.copy(), (H, K, T)
             left = again.z_minus_h
-        if size < _BEND or not np.isfinite(size) or not iterate:
+        converged = size < _BEND and turned < _TURNED
+        if converged or not np.isfinite(size) or not iterate:
             break
         T = np.eye(n)
         T[VELOCITY, ATTITUDE] = error_state.cross_matrix(dx[VELOCITY])
