@@ -3,9 +3,9 @@
 Nothing here is taken from insdvl. Rotations are scipy's, their means come from quadrature, and the
 matrices of the invariant error from those of the plain one by the change of coordinates
 
-    x_invariant = T x_ned,  T = I + [v x] in (velocity, attitude) + [(p - r) x] in (position, attitude),
+    x_invariant = T x_ned,  T = I but for [v x] in the block (velocity, attitude) and
+                            [(p - r) x] in the block (position, attitude), r being the start,
 
-with r the start,
 so F = T F_ned T^-1 + T' T^-1, G = T G_ned, H = H_ned T^-1.
 """
 
