@@ -54,7 +54,7 @@ class FixModel(SensorModel[Fix]):
     def reading(self, event: Fix) -> Array:
         return event.p_n
 
-    def refusal(self, event: Fix, repeats: int) -> str:
+    def refusal(self, event: Fix, repeats: int, *, contradicted: bool) -> str:
         return ""
 
     def linearise(self, state: Records, event: Fix, turn: object) -> Linearised:

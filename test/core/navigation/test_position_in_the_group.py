@@ -17,10 +17,11 @@ from insdvl.navigation.error_state import ATTITUDE, POSITION, VELOCITY, position
 from insdvl.navigation.events import Initial
 from insdvl.navigation.filter import Filter
 from insdvl.navigation.measurements.base import Turn
-from insdvl.simulation.grades import FOG, MEMS
+from insdvl.simulation.grades import GRADES
 from insdvl.simulation.mission import Mission
 from insdvl.studies.consistency.flights import Case, EventSource, Flight, fly, parameters
 
+FOG, MEMS = GRADES["fog"], GRADES["mems"]
 SEED = 91_000
 RUNS, SHORT_RUNS, SHORT = 100, 6, 300.0
 NO_TURN = Turn(np.zeros(3), np.zeros((3, 3)))

@@ -71,7 +71,7 @@ def velocity_nees(name, dvl_rate, runs):
             constant(grade.variances()),
             seed=FIRST_SEED + run,
             imu=imu,
-            dvl=DvlModel(dvl_rate, l_b_dvl=np.array(ARM), noise_std=np.full(3, DVL_STD)),
+            dvl=DvlModel(dvl_rate, lever_arm=ARM, noise_std=(DVL_STD,) * 3),
         )
         rng = np.random.default_rng([FIRST_SEED, run])
         C, v_n = mission.initial.C_n_b[0], mission.initial.v_n[0]

@@ -27,8 +27,8 @@ from insdvl.navigation.start import InitialParameters, OriginParameters
 from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.grades import Grade
 from insdvl.simulation.mission import Mission, simulate
+from insdvl.simulation.motion import Channel, Ramp, Trajectory, Truth, Wave
 from insdvl.simulation.noise import constant
-from insdvl.simulation.trajectories import Channel, Ramp, Trajectory, Truth, Wave
 from insdvl.timeline.recorded import fold_arrays
 
 #: An AUV that goes out and comes part of the way back: 1.08 km in 600 s, at most 0.6 km away.
@@ -74,6 +74,9 @@ def _survey() -> Trajectory:
 
 #: A lawn mower: at most 0.2 km from the start.
 SURVEY = _survey()
+
+#: Samples of the IMU per second [Hz].
+RATE = 100.0
 
 #: Probability of the published ellipse.
 ELLIPSE = 0.95
@@ -136,17 +139,17 @@ EventSource = Callable[[Mission, np.random.Generator], Sequence[Event]]
 
 def parameters(case: Case) -> FilterParameters:
     """The filter of a case: it knows all sigmas, and starts on the initial state it is given."""
-    grade = case.grade
+    grade, variances = case.grade, case.grade.variances(RATE).tolist()
     return FilterParameters(
         frame_convention="ned",
         error_state=case.error_state,
         earth_rate=case.earth_rate,
-        imu=ImuParameters(rate=grade.rate),
+        imu=ImuParameters(rate=RATE),
         dvl=DvlParameters(noise_std=(case.dvl_std,) * 3),
         gate=GateParameters(enabled=False),
         process_noise=ProcessNoiseParameters(
-            accelerometer_variance=(grade.accelerometer_variance,) * 3,
-            gyroscope_variance=(grade.gyroscope_variance,) * 3,
+            accelerometer_variance=tuple(variances[:3]),
+            gyroscope_variance=tuple(variances[3:]),
             accelerometer_bias_walk=0.0,
             gyroscope_bias_walk=0.0,
         ),
@@ -154,8 +157,8 @@ def parameters(case: Case) -> FilterParameters:
             mode="set_odometry",
             heading_std=math.radians(case.heading_std_deg),
             position_std=case.position_std,
-            accelerometer_bias_std=grade.accelerometer_bias_std,
-            gyroscope_bias_std=grade.gyroscope_bias_std,
+            accelerometer_bias_std=grade.accelerometer_bias,
+            gyroscope_bias_std=grade.gyroscope_bias,
         ),
         origin=OriginParameters(height=TRANSIT.h_0),
     )
@@ -206,11 +209,11 @@ def fly(
     """
     mission = simulate(
         trajectory_from(case.trajectory, case.start),
-        constant(case.grade.variances),
+        constant(case.grade.variances(RATE)),
         seed=seed,
         duration=case.duration,
-        imu=case.grade.model,
-        dvl=DvlModel(rate=case.dvl_rate, noise_std=np.full(3, case.dvl_std)),
+        imu=case.grade.imu(RATE),
+        dvl=DvlModel(rate=case.dvl_rate, noise_std=(case.dvl_std,) * 3),
         earth_rate=case.earth_rate,
     )
     initial = initial_state(case, mission.initial, np.random.default_rng([seed, _INITIAL]))
@@ -224,7 +227,7 @@ def fly(
         mission.w_ib_b,
         [initial, *(Dvl(stamp_ns, v_d) for stamp_ns, v_d in pings), *more],
     )
-    second = round(case.grade.rate)
+    second = round(RATE)
     at = slice(second - 1, None, second)
     states = result.states[at].copy()
     truth, nav = mission.truth, states["nav"]
