@@ -1,14 +1,18 @@
 """Error state: its map, dynamics, discretisation, injection and initial covariance.
 
-With C_true = exp([psi x]) C, b_true = b + db, and
+With b_true = b + db, psi = (tilt about north and east, heading h about down), and
 
-    ned:        v_true = v + dv
+    ned:        C_true = exp([psi x]) C
+                v_true = v + dv
                 p_true = p + dp
-    invariant:  v_true = exp([psi x]) v + dv           (dv_i = dv_ned + [v x] psi to first order)
-                p_true = r + exp([psi x]) x + dp       (dp_i = dp_ned + [x x] psi to first order)
+    invariant:  C_true = R_h R_t C                  R_h = exp([h e_D x]), R_t = exp([t x])
+                v_true = R_h (R_t v + dv)           (dv_i = dv_ned + [v x] psi to first order)
+                p_true = r + R_h (R_t x + dp)       (dp_i = dp_ned + [x x] psi to first order)
 
-where x = p - r is the position from the reference r, the point whose position was known when the
-heading was not: the start. So a correction of the heading turns the path travelled since.
+where t is psi without the heading and x = p - r the position from the reference r, the point whose
+position was known when the heading was not: the start. A heading error turns all else, the path
+travelled since the start with it: whatever its size it is in neither the motion nor the velocity
+that a DVL measures, apart from the Earth's rotation.
 
 Behind the fifteen states that every filter has come the blocks of optional states that sensors
 bring (measurements/base.py), each a first-order Gauss-Markov process or a constant.
@@ -17,6 +21,7 @@ The matrices are derived in docs/explanation/error-state.md, in full and for bot
 """
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array
 from insdvl.kernels import kernel
@@ -40,6 +45,9 @@ HORIZONTAL_POSITION = slice(12, 14)
 
 # First elements of the blocks, for the kernels.
 _V, _A, _F, _W, _P = 0, 3, 6, 9, 12
+
+_DOWN = np.array([0.0, 0.0, 1.0])
+_ROOT_3 = np.sqrt(3.0)
 
 # F and Phi are dense in the rows of velocity, attitude and position, and there in the first twelve
 # columns; the bias rows of F are zero. Loops over just these blocks skip half of all products.
@@ -269,27 +277,25 @@ def _propagate_optional(P: Array, w: Workspace, n: int) -> None:
 
 
 @kernel
-def bend(s: State, w: Workspace, c: Constants, dt: float) -> None:
+def bend(s: State, w: Workspace, dt: float) -> None:
     """Add to P what a gyroscope bias, which turns the heading while the path grows, makes of it.
 
-    With a heading error h that changes, dp' has a term of second order, h h' x, horizontally. An
-    unknown bias b about the vertical makes it so persistent that it adds up, as one sigma, to
-    m = int sqrt(E[(h b)^2]) x dt, and E[(h b)^2] = P_hh P_bb + 2 P_hb^2. No velocity tells it: in P
-    it stays m m^T until a position is measured.
+    With a heading error that changes, dp' has a term of second order, -h' e_D x dp, horizontally.
+    An unknown bias about the vertical, h' = -b, and the dp that it has made are one random number z
+    times their sigmas: the term is z^2 e_D x P_pb, and adds up, since z stays. One sigma of it is
+    m = sqrt(E[z^4]) int e_D x P_pb dt. No velocity tells it: in P it stays m m^T until a position is
+    measured.
     """
     nav, P = s.nav, s.nav.P
-    heading = _A + 2
-    P_bb, P_hb = 0.0, 0.0
-    for i in range(3):
-        P_hb += P[heading, _W + i] * w.C_mean[2, i]
+    P_pb = np.zeros(2)
+    for i in range(2):
         for j in range(3):
-            P_bb += w.C_mean[2, i] * P[_W + i, _W + j] * w.C_mean[2, j]
-    sigma = np.sqrt(max(P[heading, heading] * P_bb + 2.0 * P_hb * P_hb, 0.0))
+            P_pb[i] += P[_P + i, _W + j] * w.C_mean[2, j]
     for i in range(2):
         for j in range(2):
             P[_P + i, _P + j] -= nav.bend_n[i] * nav.bend_n[j]
-    for i in range(2):
-        nav.bend_n[i] += dt * sigma * w.x_n[i]
+    nav.bend_n[0] -= _ROOT_3 * P_pb[1] * dt
+    nav.bend_n[1] += _ROOT_3 * P_pb[0] * dt
     for i in range(2):
         for j in range(2):
             P[_P + i, _P + j] += nav.bend_n[i] * nav.bend_n[j]
@@ -297,9 +303,10 @@ def bend(s: State, w: Workspace, c: Constants, dt: float) -> None:
 
 @kernel
 def inject(s: State, c: Constants, dx: Array) -> None:
-    """Move the nominal state by the error dx (n,), without a reset Jacobian.
+    """Move the nominal state by the error dx (n,), and P into the axes of the new heading.
 
-    That Jacobian and the curvature of h cancel (docs/explanation/error-state.md).
+    There is no reset Jacobian of the tilt: that and the curvature of h cancel
+    (docs/explanation/error-state.md).
     """
     nav = s.nav
     for i in range(3):
@@ -308,22 +315,86 @@ def inject(s: State, c: Constants, dx: Array) -> None:
     for i in range(dx.shape[0] - CORE):
         nav.optional[i] += dx[CORE + i]
     turn, rotated = np.empty((3, 3)), np.empty((3, 3))
-    exponential(turn, rotated, dx[_A], dx[_A + 1], dx[_A + 2])
+    if not c.invariant:
+        exponential(turn, rotated, dx[_A], dx[_A + 1], dx[_A + 2])
+        product(rotated, turn, nav.C_n_b)
+        nav.C_n_b[:] = rotated
+        orthonormalise(nav.C_n_b, rotated)
+        for i in range(3):
+            nav.v_n[i] += dx[_V + i]
+            nav.p_n[i] += dx[_P + i]
+        return
+    tilted, before = np.empty(3), np.empty(3)
+    exponential(turn, rotated, dx[_A], dx[_A + 1], 0.0)
     product(rotated, turn, nav.C_n_b)
-    nav.C_n_b[:] = rotated
+    cos, sin = np.cos(dx[_A + 2]), np.sin(dx[_A + 2])
+    for j in range(3):
+        nav.C_n_b[0, j] = cos * rotated[0, j] - sin * rotated[1, j]
+        nav.C_n_b[1, j] = sin * rotated[0, j] + cos * rotated[1, j]
+        nav.C_n_b[2, j] = rotated[2, j]
     orthonormalise(nav.C_n_b, rotated)
-    if c.invariant:
-        v_n, x_n, turned = np.empty(3), np.empty(3), np.empty(3)
-        rotate(v_n, turn, nav.v_n)
-        nav.v_n[:] = v_n
-        for i in range(3):
-            x_n[i] = nav.p_n[i] - nav.r_n[i]
-        rotate(turned, turn, x_n)
-        for i in range(3):
-            nav.p_n[i] = nav.r_n[i] + turned[i]
+    rotate(tilted, turn, nav.v_n)
     for i in range(3):
-        nav.v_n[i] += dx[_V + i]
-        nav.p_n[i] += dx[_P + i]
+        tilted[i] += dx[_V + i]
+    _turn_about_down(nav.v_n, tilted, cos, sin)
+    for i in range(3):
+        before[i] = nav.p_n[i] - nav.r_n[i]
+    rotate(tilted, turn, before)
+    for i in range(3):
+        tilted[i] += dx[_P + i]
+    _turn_about_down(before, tilted, cos, sin)
+    for i in range(3):
+        nav.p_n[i] = nav.r_n[i] + before[i]
+    turn_axes(nav.P, cos, sin)
+    north, east = nav.bend_n[0], nav.bend_n[1]
+    nav.bend_n[0] = cos * north - sin * east
+    nav.bend_n[1] = sin * north + cos * east
+
+
+@kernel
+def _turn_about_down(out: Array, a: Array, cos: float, sin: float) -> None:
+    """out = R_h a; `out` is not a."""
+    out[0] = cos * a[0] - sin * a[1]
+    out[1] = sin * a[0] + cos * a[1]
+    out[2] = a[2]
+
+
+@kernel
+def turn_axes(P: Array, cos: float, sin: float) -> None:
+    """P (N, N) of `invariant` in the axes of a heading that was turned by an angle, in place.
+
+    The errors of velocity, tilt and position are told in the axes of the estimated heading.
+    """
+    n = P.shape[0]
+    for a in (_V, _A, _P):
+        for j in range(n):
+            north, east = P[a, j], P[a + 1, j]
+            P[a, j] = cos * north - sin * east
+            P[a + 1, j] = sin * north + cos * east
+    for a in (_V, _A, _P):
+        for i in range(n):
+            north, east = P[i, a], P[i, a + 1]
+            P[i, a] = cos * north - sin * east
+            P[i, a + 1] = sin * north + cos * east
+
+
+def remaining(dx: Array) -> Array:
+    """Errors of the corrected state by those before, for `invariant`: Jacobian (n, n) of both.
+
+    A tilt that is left turns the correction of velocity and position, and what is left is told in
+    the axes of the corrected heading.
+
+    Args:
+        dx: (n,) the correction.
+    """
+    cos, sin = np.cos(dx[_A + 2]), np.sin(dx[_A + 2])
+    R_h = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    T = np.eye(len(dx))
+    T[ATTITUDE, ATTITUDE] = R_h
+    for block in (VELOCITY, POSITION):
+        T[block, block] = R_h
+        T[block, _A : _A + 2] = (R_h @ cross_matrix(dx[block]))[:, :2]
+    return T
 
 
 def cross_matrix(a: Array) -> Array:
@@ -342,6 +413,27 @@ def turns_position(s: State, *, invariant: bool) -> Array:
     return cross_matrix(nav["p_n"] - nav["r_n"]) if invariant else np.zeros((3, 3))
 
 
+def attitude_error(nav: State, C_n_b: Array, *, invariant: bool) -> Array:
+    """Exact error psi (..., 3) of the attitude in the coordinates of the model [rad].
+
+    Args:
+        nav: Group ``nav`` of records (...).
+        C_n_b: (..., 3, 3) true attitude.
+        invariant: Which error state it is.
+    """
+    turn = C_n_b @ np.swapaxes(nav["C_n_b"], -1, -2)
+    if not invariant:
+        return Rotation.from_matrix(turn).as_rotvec()
+    # The down row of R_h R_t is that of R_t, (-b, a, .) sin|t| / |t| for t = (a, b, 0).
+    a, b = turn[..., 2, 1], -turn[..., 2, 0]
+    sine = np.hypot(a, b)
+    angle = np.arctan2(sine, turn[..., 2, 2])
+    scale = np.where(sine > 0.0, angle / np.where(sine > 0.0, sine, 1.0), 1.0)
+    tilt = np.stack([scale * a, scale * b, np.zeros_like(a)], axis=-1)
+    R_h = turn @ np.swapaxes(_rotations(tilt), -1, -2)
+    return tilt + np.arctan2(R_h[..., 1, 0], R_h[..., 0, 0])[..., None] * _DOWN
+
+
 def position_error(nav: State, C_n_b: Array, p_n: Array, *, invariant: bool) -> Array:
     """Exact error (..., 3) of the position in the coordinates of the model [m].
 
@@ -353,9 +445,34 @@ def position_error(nav: State, C_n_b: Array, p_n: Array, *, invariant: bool) -> 
     """
     if not invariant:
         return np.asarray(p_n - nav["p_n"])
-    r_n = nav["r_n"]
-    turn = C_n_b @ np.swapaxes(nav["C_n_b"], -1, -2)
-    return np.asarray(p_n - r_n - np.einsum("...ij,...j->...i", turn, nav["p_n"] - r_n))
+    return _turned_error(nav, C_n_b, p_n - nav["r_n"], nav["p_n"] - nav["r_n"])
+
+
+def velocity_error(nav: State, C_n_b: Array, v_n: Array, *, invariant: bool) -> Array:
+    """Exact error (..., 3) of the velocity in the coordinates of the model [m/s].
+
+    Args:
+        nav: Group ``nav`` of records (...).
+        C_n_b: (..., 3, 3) true attitude.
+        v_n: (..., 3) true velocity [m/s].
+        invariant: Which error state it is.
+    """
+    if not invariant:
+        return np.asarray(v_n - nav["v_n"])
+    return _turned_error(nav, C_n_b, v_n, nav["v_n"])
+
+
+def _turned_error(nav: State, C_n_b: Array, true: Array, estimate: Array) -> Array:
+    """R_h^T a_true - R_t a of vectors (..., 3)."""
+    psi = attitude_error(nav, C_n_b, invariant=True)
+    heading = psi[..., 2:] * _DOWN
+    back = np.einsum("...ji,...j->...i", _rotations(heading), true)
+    return np.asarray(back - np.einsum("...ij,...j->...i", _rotations(psi - heading), estimate))
+
+
+def _rotations(psi: Array) -> Array:
+    """exp([psi x]) (..., 3, 3) of rotation vectors (..., 3)."""
+    return Rotation.from_rotvec(psi.reshape(-1, 3)).as_matrix().reshape(*psi.shape, 3)
 
 
 def move_reference(s: State) -> None:

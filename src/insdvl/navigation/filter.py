@@ -149,7 +149,7 @@ def _advance(
                 w.Q_d[i, j] += dt * total
     error_state.propagate(nav.P, w, c.n)
     if c.invariant:
-        error_state.bend(s, w, c, dt)
+        error_state.bend(s, w, dt)
     nav.time_ns = to_ns
 
 

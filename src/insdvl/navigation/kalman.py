@@ -191,13 +191,10 @@ def correct(
     """Correct a state with a measurement, in place.
 
     After a long outage the correction can be so large that h is not linear over it: the product
-    of a turn psi and a change of velocity dv is missed. Where what is left of the innovation is
-    not what a linear h leaves, the update is iterated from the same prior with h at the
-    corrected state (Gauss-Newton; Bell and Cathey, IEEE Transactions on Automatic Control
-    38(2), 1993).
-
-    A measurement of the position tells it in metres, whatever the heading is. So behind one the
-    covariance is turned to the corrected position also where nothing is iterated.
+    of a tilt and a change of velocity is missed. Where what is left of the innovation is not what
+    a linear h leaves, the update is iterated from the same prior with h at the corrected state
+    (Gauss-Newton; Bell and Cathey, IEEE Transactions on Automatic Control 38(2), 1993). So it is
+    where a measured position moves the state so far that a heading error turns it by more or less.
 
     Args:
         state: (1,) record.
@@ -213,41 +210,36 @@ def correct(
     R, n = prior.R, len(prior.K)
     P = before["nav"]["P"][0][:n, :n]
     H, K, innovation = prior.H, prior.K, prior.innovation
-    T = np.eye(n)  # errors of the corrected state, by those of the prior that are left
     tells_position = iterate and bool(H[:, POSITION].any())
-    smallest, corrected, used, left = np.inf, state.copy(), (H, K, T), prior.innovation
+    smallest, corrected, used, left = np.inf, before, (H, K, np.zeros(n)), innovation
     for _ in range(_ITERATIONS):
         dx = K @ innovation
         expected = innovation - H @ dx
+        state[:] = before
         _correct(state, constants, H, K, R, innovation)
         again = relinearise()
         bend = again.z_minus_h - expected
-        size = bend @ bend / (np.trace(R) / len(R))
-        turned = 0.0
+        size, turned = bend @ bend / (np.trace(R) / len(R)), 0.0
         if tells_position:
-            T[POSITION, ATTITUDE] = error_state.cross_matrix(dx[POSITION])
-            D = again.H @ T - H
+            D = again.H - H @ np.linalg.inv(error_state.remaining(dx))
             turned = np.trace(D @ state["nav"]["P"][0][:n, :n] @ D.T) / np.trace(R)
         if size + turned < smallest:  # should the iteration lead away, the best correction stands
-            smallest, corrected, used = size + turned, state.copy(), (H, K, T)
+            smallest, corrected, used = size + turned, state.copy(), (H, K, dx)
             left = again.z_minus_h
         converged = size < _BEND and turned < _TURNED
         if converged or not np.isfinite(size) or not iterate:
             break
-        T = np.eye(n)
-        T[VELOCITY, ATTITUDE] = error_state.cross_matrix(dx[VELOCITY])
-        T[POSITION, ATTITUDE] = error_state.cross_matrix(dx[POSITION])
-        H = again.H @ T
+        H = again.H @ error_state.remaining(dx)
         S = H @ P @ H.T + R
         if not np.linalg.det(S) > 0.0:  # lost in rounding
             break
         K = np.ascontiguousarray(np.linalg.solve(S, H @ P).T)
         innovation = again.z_minus_h + H @ dx
-        state[:] = before
     state[:] = corrected
-    H, K, T = used
-    if not np.array_equal(T, np.eye(n)):
+    H, K, dx = used
+    if H is not prior.H:
         # Joseph form with T inside, where large numbers cancel before they are squared.
+        T = error_state.remaining(dx)
         A, B = T @ (np.eye(n) - K @ H), T @ K
         P = A @ P @ A.T + B @ R @ B.T
         state["nav"]["P"][0][:n, :n] = (P + P.T) / 2

@@ -142,6 +142,8 @@ def _odometry(states: Records, k: int, constants: Records, out: Records) -> None
     error_state.set_block(J, 0, _ATTITUDE, 1.0, N)
     error_state.set_block(J, 0, _POSITION, 1.0, c.nav)
     error_state.set_block(J, 3, _ATTITUDE, 1.0, c.nav)
+    if c.invariant:
+        _shorten(J, s.nav.P[_HEADING, _HEADING])
     _congruence(o.pose_covariance, J, s.nav.P, n)
     if c.invariant:
         _add_arc(o.pose_covariance, c.nav, x, s.nav.P[_HEADING, _HEADING])
@@ -185,19 +187,30 @@ def _odometry(states: Records, k: int, constants: Records, out: Records) -> None
 
 
 @kernel
-def _add_arc(covariance: Array, nav: Array, x_n: Array, variance: float) -> None:
-    """Add the second moment of an arc to the covariance (6, 6) of the pose, horizontally.
+def _shorten(J: Array, variance: float) -> None:
+    """The heading column of J for a position that a heading error turns: E[sin h h] / variance."""
+    for i in range(3):
+        J[i, _HEADING] *= np.exp(-0.5 * variance)
 
-    With a heading error h of that variance the true position lies at exp([h e_D x]) x from the
-    reference: beside x by h x, which the Jacobian has, and short of it by (1 - cos h) x, of
-    which the second moment is 3/4 variance^2 x x^T to the leading order.
+
+@kernel
+def _add_arc(covariance: Array, nav: Array, x_n: Array, variance: float) -> None:
+    """Complete the covariance (6, 6) of the pose by the second moments of an arc, horizontally.
+
+    With a normal heading error h of that variance the true position lies at exp([h e_D x]) x from
+    the reference: beside x by sin(h) x, of which the Jacobian has the part that is linear in h, and
+    short of it by (1 - cos h) x. E[cos h] = exp(-variance / 2), E[cos 2h] = exp(-2 variance).
     """
-    moment = 0.75 * variance * variance
+    one, two = np.exp(-0.5 * variance), np.exp(-2.0 * variance)
+    beside = 0.5 * (1.0 - two) - one * one * variance
+    short = 1.0 - 2.0 * one + 0.5 * (1.0 + two)
     for i in range(3):
         along_i = nav[i, 0] * x_n[0] + nav[i, 1] * x_n[1]
+        beside_i = nav[i, 1] * x_n[0] - nav[i, 0] * x_n[1]
         for j in range(i + 1):
             along_j = nav[j, 0] * x_n[0] + nav[j, 1] * x_n[1]
-            covariance[i, j] += moment * along_i * along_j
+            beside_j = nav[j, 1] * x_n[0] - nav[j, 0] * x_n[1]
+            covariance[i, j] += short * along_i * along_j + beside * beside_i * beside_j
             covariance[j, i] = covariance[i, j]
 
 
