@@ -84,6 +84,7 @@ class DenseFilter:
     b_w: np.ndarray = field(default_factory=lambda: np.zeros(3))
     b_d: np.ndarray = field(default_factory=lambda: np.zeros(3))
     bend: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    seconds: float = 0.0  # since the start
 
     @property
     def n(self):
@@ -136,6 +137,8 @@ class DenseFilter:
         dynamics[V, F] = -C_mid
         dynamics[A, V] = -W_v
         dynamics[A, A] = -skew(w_ie + w_en)
+        if self.invariant:  # what a line has of the sine of the heading error
+            dynamics[A.start + 1, 5] -= (1.0 - np.exp(-self.P[5, 5] / 2)) * w_ie[0]
         dynamics[A, W] = -C_mid
         dynamics[P, V] = I3
         G[V, V], G[A, A], G[F, F], G[W, W] = -C_mid, -C_mid, I3, I3
@@ -146,6 +149,10 @@ class DenseFilter:
         back = 2 * np.eye(n) - T  # T^-1, since (T - I)^2 = 0
         dynamics, G = T @ dynamics @ back + T_dot @ back, T @ G
         noise = G @ Q @ G.T
+        if self.invariant:
+            rest = np.zeros((n, n))
+            rest[A, A] = self.rest_of_the_heading(w_ie[0], dt)
+            noise += T @ rest @ T.T
         if self.exact:
             if n > 15:
                 dynamics[D, D] = -beta * I3
@@ -162,13 +169,28 @@ class DenseFilter:
                 self.P[D, D] += np.diag(self.dvl_std**2) * (1 - np.exp(-2 * beta * dt))
 
         if self.invariant:
-            down = np.zeros((2, n))
-            down[0, 5], down[1, W] = 1.0, C_mid[2]  # heading and the bias about the vertical
-            (hh, hb), (_, bb) = down @ self.P @ down.T
+            e_x = np.array([[0.0, -1.0], [1.0, 0.0]])  # [e_D x], horizontally
             horizontal = slice(P.start, P.start + 2)
             before = np.outer(self.bend, self.bend)
-            self.bend = self.bend + dt * np.sqrt(hh * bb + 2 * hb**2) * (p_mid - self.r)[:2]
+            P_pb = self.P[horizontal, W] @ C_mid[2]
+            self.bend = self.bend + dt * np.sqrt(3.0) * e_x @ P_pb
             self.P[horizontal, horizontal] += np.outer(self.bend, self.bend) - before
+
+    def rest_of_the_heading(self, rate, dt):
+        """Density of what a line leaves of the Earth's rotation in the axes of the heading."""
+        s = self.P[5, 5]
+        moments = np.array(
+            [
+                1 - 2 * np.exp(-s / 2) + (1 + np.exp(-2 * s)) / 2,
+                (1 - np.exp(-2 * s)) / 2 - s * np.exp(-s),
+                0.0,
+            ]
+        )
+        r = rate**2 * moments
+        bias = np.trace(self.P[W, W]) / 3
+        density = 2 * self.seconds * np.diag(r * r / (r + bias))
+        self.seconds += dt
+        return density
 
     def update(self, v_d, R, w_ib_b, Q_w_there):
         """Correct with a DVL velocity.
@@ -204,11 +226,18 @@ class DenseFilter:
         keep = np.eye(self.n) - K @ H
         self.P = keep @ self.P @ keep.T + K @ R @ K.T
         x = K @ nu
-        turn = exp(x[A])
-        self.C = turn @ self.C
         if self.invariant:
-            self.v, self.p = turn @ self.v, self.r + turn @ (self.p - self.r)
-        self.v, self.p = self.v + x[V], self.p + x[P]
+            down = np.array([0.0, 0.0, 1.0])
+            heading, tilt = exp(x[5] * down), exp(x[A] - x[5] * down)
+            self.C = heading @ tilt @ self.C
+            self.v = heading @ (tilt @ self.v + x[V])
+            self.p = self.r + heading @ (tilt @ (self.p - self.r) + x[P])
+            turn = np.eye(self.n)
+            turn[V, V] = turn[A, A] = turn[P, P] = heading
+            self.P, self.bend = turn @ self.P @ turn.T, heading[:2, :2] @ self.bend
+        else:
+            self.C = exp(x[A]) @ self.C
+            self.v, self.p = self.v + x[V], self.p + x[P]
         self.b_f, self.b_w = self.b_f + x[F], self.b_w + x[W]
         if self.n > 15:
             self.b_d = self.b_d + x[D]

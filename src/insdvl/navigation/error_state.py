@@ -70,6 +70,27 @@ def add_block(F: Array, row: int, column: int, sign: float, M: Array) -> None:
 
 
 @kernel
+def earth_rate_seen(s: State, w: Workspace) -> None:
+    """What an uncertain heading h lets be known of the Earth's rotation, into the workspace.
+
+    In the axes of the estimated heading it is off by w_N (cos h - 1) north and -w_N sin h east.
+    For a normal h the best line through sin h has the slope exp(-variance / 2). The rest of both is
+    an unknown rate r that stays while h does, and over the time T since the start makes a tilt of
+    variance (r T)^2, as a density 2 r^2 T does. A bias that is as unknown covers it.
+    """
+    P = s.nav.P
+    variance = P[_A + 2, _A + 2]
+    one, two = np.exp(-0.5 * variance), np.exp(-2.0 * variance)
+    w.heading_slope = one
+    bias = (P[_W, _W] + P[_W + 1, _W + 1] + P[_W + 2, _W + 2]) / 3.0
+    twice = 2e-9 * (s.nav.time_ns - s.nav.start_ns)
+    north = max(1.0 - 2.0 * one + 0.5 * (1.0 + two), 0.0) * w.w_ie_n[0] ** 2
+    east = max(0.5 * (1.0 - two) - one * one * variance, 0.0) * w.w_ie_n[0] ** 2
+    w.heading_rest[0] = twice * north * north / (north + bias) if north > 0.0 else 0.0
+    w.heading_rest[1] = twice * east * east / (east + bias) if east > 0.0 else 0.0
+
+
+@kernel
 def dynamics(w: Workspace, c: Constants) -> None:
     """F of dx' = F dx + G n into ``w.F``, at the middle of the step that is in the workspace.
 
@@ -81,6 +102,8 @@ def dynamics(w: Workspace, c: Constants) -> None:
         dv'  = -[W x] dv + ([g x] + [v x][w_ie x]) psi - C db_f - [v x] C db_w
         psi' = -W_v dv + (W_v [v x] - [w_in x]) psi - C db_w
         dp'  = dv + [x x] psi'
+
+    The heading column of [w_ie x] has the slope of `earth_rate_seen`.
     """
     F, C, v_x, x_x, M, N = w.F, w.C_mean, w.v_x, w.x_x, w.a_x, w.block
     skew(v_x, w.v_n)
@@ -95,6 +118,7 @@ def dynamics(w: Workspace, c: Constants) -> None:
         skew(M, w.g_n)
         set_block(F, _V, _A, 1.0, M)
         skew(M, w.w_ie_n)
+        M[1, 2] *= w.heading_slope
         product(N, v_x, M)
         add_block(F, _V, _A, 1.0, N)
         product(M, v_x, C)
@@ -104,6 +128,7 @@ def dynamics(w: Workspace, c: Constants) -> None:
         for i in range(3):
             for j in range(3):
                 N[i, j] -= M[i, j]
+        N[1, 2] -= (1.0 - w.heading_slope) * w.w_ie_n[0]
         set_block(F, _A, _A, 1.0, N)
         # The position rows are dv + [x x] times the attitude rows.
         skew(x_x, w.x_n)
@@ -161,7 +186,7 @@ def input_noise(s: State, w: Workspace, c: Constants, Q_f: Array, Q_w: Array, dt
 
     G = [[C, [v x] C, 0, 0], [0, C, 0, 0], [0, 0, I, 0], [0, 0, 0, I], [0, [x x] C, 0, 0]], for
     `ned` without [v x] C and [x x] C. White noise has no sign, so those of G's columns do not
-    matter.
+    matter. For `invariant` the rest of `earth_rate_seen` is added to the noise of the gyroscope.
     """
     Q_d, C, M, N = w.Q_d, w.C_mean, w.rotated, w.block
     product(M, C, Q_f)
@@ -169,6 +194,9 @@ def input_noise(s: State, w: Workspace, c: Constants, Q_f: Array, Q_w: Array, dt
     set_block(Q_d, _V, _V, dt, N)
     product(M, C, Q_w)
     product_transposed(N, M, C)
+    if c.invariant:
+        for i in range(2):
+            N[i, i] += w.heading_rest[i]
     set_block(Q_d, _A, _A, dt, N)
     if c.invariant:
         skew(w.v_x, w.v_n)
@@ -283,8 +311,8 @@ def bend(s: State, w: Workspace, dt: float) -> None:
     With a heading error that changes, dp' has a term of second order, -h' e_D x dp, horizontally.
     An unknown bias about the vertical, h' = -b, and the dp that it has made are one random number z
     times their sigmas: the term is z^2 e_D x P_pb, and adds up, since z stays. One sigma of it is
-    m = sqrt(E[z^4]) int e_D x P_pb dt. No velocity tells it: in P it stays m m^T until a position is
-    measured.
+    m = sqrt(E[z^4]) int e_D x P_pb dt. No velocity tells it: in P it stays m m^T until a position
+    is measured.
     """
     nav, P = s.nav, s.nav.P
     P_pb = np.zeros(2)

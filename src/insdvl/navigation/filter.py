@@ -130,6 +130,8 @@ def _advance(
     if in_doubt:
         channels.add_unseen(s, w, c)
 
+    if c.invariant:
+        error_state.earth_rate_seen(s, w)
     error_state.dynamics(w, c)
     error_state.discretise(w, c, dt)
     for i in range(CORE, c.n):

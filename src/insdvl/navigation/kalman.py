@@ -12,7 +12,7 @@ import numpy as np
 from insdvl.arrays import Array, Records
 from insdvl.kernels import kernel
 from insdvl.navigation import error_state
-from insdvl.navigation.error_state import ATTITUDE, POSITION, VELOCITY
+from insdvl.navigation.error_state import POSITION
 from insdvl.navigation.measurements.base import Linearised
 
 #: An update is iterated while h bends by more than the mean sigma of R, but not for ever: each

@@ -257,7 +257,7 @@ class Start:
         nav["P"][:n, :n] = (P + P.T) / 2
         if imu["imu_ns"] == NEVER:
             imu["imu_ns"] = stamp_ns  # samples are missing from here on: a long wait is a gap
-        nav["time_ns"], nav["initialised"] = stamp_ns, 1
+        nav["time_ns"], nav["start_ns"], nav["initialised"] = stamp_ns, stamp_ns, 1
         # What a channel has not shown before is in the initial state.
         imu["unseen_ns"], imu["equal_ns"] = NEVER, np.maximum(imu["equal_ns"], stamp_ns)
         return True

@@ -62,6 +62,7 @@ def _nav(n: int) -> tuple[Field, ...]:
     """The state at a time, at the IMU, in the axes of base_link and NED."""
     return (
         Field("time_ns", STAMP),  # of the state
+        Field("start_ns", STAMP),  # of the initial state
         Field("initialised", COUNT),
         # Origin of odom on the Earth: lat, lon [rad], h [m]
         *(Field(name, UNKNOWN) for name in ("lat_0", "lon_0", "h_0")),
@@ -296,6 +297,9 @@ def workspace_type(n: int) -> np.dtype[np.void]:
             # Densities of the input noise over the step
             ("S_f", "f8", (3, 3)),
             ("S_w", "f8", (3, 3)),
+            # Of the Earth's rotation with an uncertain heading: slope, and density north and east
+            ("heading_slope", "f8"),
+            ("heading_rest", "f8", (2,)),
             # Scratch of the mechanisation: turns over the step and their means, and vectors
             ("turn", "f8", (3, 3)),
             ("mean_turn", "f8", (3, 3)),

@@ -100,22 +100,32 @@ class Case:
 
     def plus(self, nominal, x):
         """The true state that differs by the error x from the nominal one."""
-        turn = Rotation.from_rotvec(x[ATTITUDE]).as_matrix()
-        v_n = turn @ nominal["v_n"] if self.invariant else nominal["v_n"]
+        tilt, heading = self.turns(x[ATTITUDE])
+        r_n = nominal["r_n"] if self.invariant else nominal["p_n"]
         return {
-            "C_n_b": turn @ nominal["C_n_b"],
-            "v_n": v_n + x[VELOCITY],
+            "C_n_b": heading @ tilt @ nominal["C_n_b"],
+            "v_n": self.turned(nominal["v_n"], x[ATTITUDE], x[VELOCITY]),
             "b_f": nominal["b_f"] + x[ACCELEROMETER_BIAS],
             "b_w": nominal["b_w"] + x[GYROSCOPE_BIAS],
-            "p_n": self.turned_position(turn, nominal) + x[POSITION],
+            "p_n": r_n + self.turned(nominal["p_n"] - r_n, x[ATTITUDE], x[POSITION]),
             "r_n": nominal["r_n"],
             "optional": nominal["optional"] + optional(x[15:]),
         }
 
-    def turned_position(self, turn, nominal):
-        """The nominal position when the path since the reference is turned, for `invariant`."""
-        r_n = nominal["r_n"]
-        return r_n + turn @ (nominal["p_n"] - r_n) if self.invariant else nominal["p_n"]
+    def turns(self, psi):
+        """R_t and R_h for `invariant`; for `ned` the rotation by psi and none."""
+        if not self.invariant:
+            return Rotation.from_rotvec(psi).as_matrix(), np.eye(3)
+        down = np.array([0.0, 0.0, 1.0])
+        tilt = Rotation.from_rotvec(psi - psi[2] * down)
+        return tilt.as_matrix(), Rotation.from_rotvec(psi[2] * down).as_matrix()
+
+    def turned(self, a, psi, da):
+        """A vector with its error: R_h (R_t a + da) for `invariant`, a + da for `ned`."""
+        if not self.invariant:
+            return a + da
+        tilt, heading = self.turns(psi)
+        return heading @ (tilt @ a + da)
 
     def ordinary(self, J):
         """J (..., n) with the derivatives by psi taken at the position, not at dp_i.
@@ -131,14 +141,25 @@ class Case:
 
     def minus(self, true, nominal):
         """The error (n,) by which a true state differs from a nominal one."""
-        turn = true["C_n_b"] @ nominal["C_n_b"].T
-        v_n = turn @ nominal["v_n"] if self.invariant else nominal["v_n"]
         x = np.zeros(self.n)
-        x[VELOCITY] = true["v_n"] - v_n
-        x[ATTITUDE] = Rotation.from_matrix(turn).as_rotvec()
+        turn = true["C_n_b"] @ nominal["C_n_b"].T
+        if self.invariant:
+            # R_h R_t: the first of the extrinsic rotations that ends about down
+            tilted = np.cross(turn.T @ [0.0, 0.0, 1.0], [0.0, 0.0, 1.0])
+            size = np.linalg.norm(tilted)
+            x[ATTITUDE] = np.arcsin(size) / size * tilted if size > 0.0 else 0.0
+            heading = turn @ Rotation.from_rotvec(x[ATTITUDE]).as_matrix().T
+            x[ATTITUDE.stop - 1] = Rotation.from_matrix(heading).as_rotvec()[2]
+        else:
+            x[ATTITUDE] = Rotation.from_matrix(turn).as_rotvec()
+        tilt, heading = self.turns(x[ATTITUDE])
+        back = heading.T
+        r_n = nominal["r_n"] if self.invariant else nominal["p_n"]
+        nominal_v = nominal["v_n"] if not self.invariant else tilt @ nominal["v_n"]
+        x[VELOCITY] = back @ true["v_n"] - nominal_v
         x[ACCELEROMETER_BIAS] = true["b_f"] - nominal["b_f"]
         x[GYROSCOPE_BIAS] = true["b_w"] - nominal["b_w"]
-        x[POSITION] = true["p_n"] - self.turned_position(turn, nominal)
+        x[POSITION] = back @ (true["p_n"] - r_n) - tilt @ (nominal["p_n"] - r_n)
         x[15:] = (true["optional"] - nominal["optional"])[: self.n - 15]
         return x
 
@@ -173,6 +194,7 @@ class Case:
     def model(self, dt):
         """F and Phi of the filter for that step."""
         self.moved(self.nominal, dt)
+        error_state.earth_rate_seen(self.record(self.nominal)[0], self.workspace)  # P is zero
         error_state.dynamics(self.workspace, self.constants)
         error_state.discretise(self.workspace, self.constants, dt)
         used = slice(0, self.n)

@@ -15,7 +15,7 @@ from scipy.stats import chi2
 
 from insdvl.arrays import Array
 from insdvl.navigation.channels import ImuParameters
-from insdvl.navigation.error_state import HORIZONTAL_POSITION, position_error
+from insdvl.navigation.error_state import HORIZONTAL_POSITION, attitude_error, position_error
 from insdvl.navigation.events import Event, Initial
 from insdvl.navigation.gate import GateParameters
 from insdvl.navigation.geometry.earth import latitude
@@ -238,14 +238,14 @@ def fly(
     published = [odometry(result.filter, states, k) for k in range(len(states))]
     d = truth.p_n[at, :2] - np.array([o.position[:2] for o in published])
     covariance = np.array([o.pose_covariance[:2, :2] for o in published])
-    turn = truth.C_n_b[at] @ np.swapaxes(nav["C_n_b"], 1, 2)
+    psi = attitude_error(nav, truth.C_n_b[at], invariant=case.error_state == "invariant")
     del result
     gc.collect()  # a fold refers to itself, and its records take 0.4 GB
     return Flight(
         nees=_squared(e, P) / 2.0,
         inside=_squared(d, covariance) <= chi2.ppf(ELLIPSE, 2),
         error=np.hypot(d[:, 0], d[:, 1]),
-        heading_deg=np.degrees(Rotation.from_matrix(turn).as_rotvec()[:, 2]),
+        heading_deg=np.degrees(psi[:, 2]),
     )
 
 
