@@ -138,7 +138,9 @@ class DenseFilter:
         dynamics[A, V] = -W_v
         dynamics[A, A] = -skew(w_ie + w_en)
         if self.invariant:  # what a line has of the sine of the heading error
-            dynamics[A.start + 1, 5] -= (1.0 - np.exp(-self.P[5, 5] / 2)) * w_ie[0]
+            missed = (1.0 - np.exp(-self.P[5, 5] / 2)) * w_ie[0]
+            dynamics[A.start + 1, 5] -= missed
+            dynamics[V, 5] += 2 * missed * skew(v_mid)[:, 1]  # Coriolis
         dynamics[A, W] = -C_mid
         dynamics[P, V] = I3
         G[V, V], G[A, A], G[F, F], G[W, W] = -C_mid, -C_mid, I3, I3
