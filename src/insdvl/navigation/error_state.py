@@ -8,7 +8,9 @@ With C_true = exp([psi x]) C, b_true = b + db, and
                 p_true = r + exp([psi x]) x + dp       (dp_i = dp_ned + [x x] psi to first order)
 
 where x = p - r is the position from the reference r, the point whose position was known when the
-heading was not: the start. So a correction of the heading turns the path travelled since.
+heading was not: the start. So a correction of the heading turns the path travelled since. Positions
+are places on the Earth, and their differences metres north, east and down
+(`geometry.earth.displacement`); dp is in those axes at the vehicle.
 
 Behind the fifteen states that every filter has come the blocks of optional states that sensors
 bring (measurements/base.py), each a first-order Gauss-Markov process or a constant.
@@ -20,6 +22,7 @@ import numpy as np
 
 from insdvl.arrays import Array
 from insdvl.kernels import kernel
+from insdvl.navigation.geometry import earth
 from insdvl.navigation.geometry.rotation import (
     exponential,
     orthonormalise,
@@ -312,18 +315,19 @@ def inject(s: State, c: Constants, dx: Array) -> None:
     product(rotated, turn, nav.C_n_b)
     nav.C_n_b[:] = rotated
     orthonormalise(nav.C_n_b, rotated)
+    d_n = dx[_P : _P + 3].copy()
     if c.invariant:
         v_n, x_n, turned = np.empty(3), np.empty(3), np.empty(3)
         rotate(v_n, turn, nav.v_n)
         nav.v_n[:] = v_n
-        for i in range(3):
-            x_n[i] = nav.p_n[i] - nav.r_n[i]
+        earth.displacement(x_n, nav.llh_r, nav.llh)
         rotate(turned, turn, x_n)
         for i in range(3):
-            nav.p_n[i] = nav.r_n[i] + turned[i]
+            d_n[i] += turned[i] - x_n[i]
     for i in range(3):
         nav.v_n[i] += dx[_V + i]
-        nav.p_n[i] += dx[_P + i]
+    if not earth.move(nav.llh, d_n):
+        s.counters.beyond_latitude += 1
 
 
 def cross_matrix(a: Array) -> Array:
@@ -338,24 +342,29 @@ def turns_position(s: State, *, invariant: bool) -> Array:
 
     The error of the position in metres is dp = dp_model - [x x] psi.
     """
-    nav = s["nav"]
-    return cross_matrix(nav["p_n"] - nav["r_n"]) if invariant else np.zeros((3, 3))
+    return cross_matrix(from_reference(s["nav"])) if invariant else np.zeros((3, 3))
 
 
-def position_error(nav: State, C_n_b: Array, p_n: Array, *, invariant: bool) -> Array:
+def from_reference(nav: State) -> Array:
+    """x (..., 3), the position from the reference [m], of groups ``nav`` of records (...)."""
+    return earth.displacements(nav["llh_r"], nav["llh"])
+
+
+def position_error(nav: State, C_n_b: Array, llh: Array, *, invariant: bool) -> Array:
     """Exact error (..., 3) of the position in the coordinates of the model [m].
 
     Args:
         nav: Group ``nav`` of records (...).
         C_n_b: (..., 3, 3) true attitude.
-        p_n: (..., 3) true position [m].
+        llh: (..., 3) true latitude, longitude [rad] and height [m].
         invariant: Which error state it is.
     """
+    error = earth.displacements(nav["llh"], llh)
     if not invariant:
-        return np.asarray(p_n - nav["p_n"])
-    r_n = nav["r_n"]
+        return error
+    x_n = from_reference(nav)
     turn = C_n_b @ np.swapaxes(nav["C_n_b"], -1, -2)
-    return np.asarray(p_n - r_n - np.einsum("...ij,...j->...i", turn, nav["p_n"] - r_n))
+    return np.asarray(error + x_n - np.einsum("...ij,...j->...i", turn, x_n))
 
 
 def move_reference(s: State) -> None:
@@ -367,14 +376,14 @@ def move_reference(s: State) -> None:
     measurement, the heading is known by then, and d is 0 or turns nothing.
     """
     nav = s["nav"]
-    P, x_n = nav["P"], nav["p_n"] - nav["r_n"]
+    P, x_n = nav["P"], from_reference(nav)
     heading = ATTITUDE.stop - 1
     lever = cross_matrix(x_n)[:, 2]  # what a heading error adds to dp_i, for d = x
     denominator = P[heading, heading] * (lever @ lever)
     if not denominator > 0.0:
         return
     d = float(np.clip(lever @ P[POSITION, heading] / denominator, 0.0, 1.0)) * x_n
-    nav["r_n"] += d
+    earth.move(nav["llh_r"], d)
     nav["bend_n"] = 0.0
     T = -cross_matrix(d)
     P[POSITION, :] += T @ P[ATTITUDE, :]

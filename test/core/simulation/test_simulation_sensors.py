@@ -100,7 +100,7 @@ def test_dvl_measures_its_own_point_in_its_own_axes():
 
     def position(times):
         truth = AUV.truth(times)
-        return truth.p_n + truth.C_n_b @ lever
+        return truth.p_o + truth.C_n_b @ lever
 
     near, far = (position(t + k * h) - position(t - k * h) for k in (1, 2))
     v_n = (8.0 * near - far) / (12.0 * h)
