@@ -363,6 +363,8 @@ class TestOrigin:
             ({"altitude": INF}, "not_finite"),
             ({"altitude": -INF}, "not_finite"),
             ({"latitude": 90.1}, "out_of_range"),
+            ({"latitude": 90.0}, "out_of_range"),
+            ({"latitude": -89.6}, "out_of_range"),
             ({"latitude": -91.0}, "out_of_range"),
         ],
     )

@@ -340,5 +340,5 @@ def test_against_python_ins_on_the_auv_mission():
     assert attitude_errors(ours["nav"]["C_n_b"], C).max() < 1e-6
     origin = [np.degrees(trajectory.lat_0), np.degrees(trajectory.lon_0), trajectory.h_0]
     p_n = transform.lla_to_ned(theirs[["lat", "lon", "alt"]], origin)
-    np.testing.assert_allclose(position(ours["nav"])[:, :2], p_n[:, :2], atol=1e-2)
+    np.testing.assert_allclose(position(ours["nav"])[:, :2], np.asarray(p_n)[:, :2], atol=1e-2)
     np.testing.assert_allclose(ours["nav"]["llh"][:, 2], theirs["alt"], atol=1e-2)

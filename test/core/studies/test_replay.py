@@ -458,6 +458,11 @@ def test_the_recorded_outputs_replay_to_the_same_numbers(bag: Path, tmp_path: Pa
         odometry = [m.message for m in out.messages(["/odometry/filtered"])]
         assert out.topics["/dvl/innovation"].size == int(DURATION)
         assert out.topics["/imu/bias"].size == int(DURATION) + 1
+        fixes = [m.message for m in out.messages(["/gps/filtered"])]
+        assert len(fixes) == int(DURATION) + 1
+        assert fixes[0].header.frame_id == "base_link"
+        latitude = np.degrees(replayed.fold.states["nav"]["llh"][replayed.initialised[0], 0])
+        assert fixes[0].latitude == pytest.approx(latitude, abs=1e-12)
     stamps_ns = replayed.fold.states["nav"]["time_ns"][replayed.initialised]
     track, sigma = states_at(replayed.fold, stamps_ns)
     assert len(odometry) == len(stamps_ns)
