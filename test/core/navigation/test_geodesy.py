@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from places import position
 from scipy.integrate import solve_ivp
+from scipy.stats import chi2
 
 from insdvl.navigation.events import NS, Initial, Origin, refusal
 from insdvl.navigation.filter import Filter
@@ -21,8 +22,10 @@ from insdvl.navigation.geometry.frames import rotation_from_rpy
 from insdvl.navigation.odometry import odometry
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import ParameterError, build
+from insdvl.simulation.grades import GRADES
 from insdvl.simulation.imu import ideal_imu
 from insdvl.simulation.motion import Channel, Ramp, Trajectory
+from insdvl.studies.consistency.flights import Case, fly
 from insdvl.timeline.recorded import fold_arrays
 
 A, F = 6378137.0, 1.0 / 298.257223563
@@ -281,6 +284,29 @@ def test_a_kilometre_at_the_largest_latitude(lat_deg):
     at = np.round(times[1:] * 100).astype(int) - 1
     error = position(result.states[at]["nav"])[:, :2] - in_plane(r[1:], trajectory.origin)
     assert np.hypot(*error.T).max() < 0.01
+
+
+def nees_at(lat_deg, runs):
+    """NEES of the horizontal position per axis after 600 s, over runs; seeds chosen beforehand."""
+    case = Case(GRADES["fog"], 1.0, position_std=10.0, latitude_deg=lat_deg)
+    flights = [fly(case, seed) for seed in range(700, 700 + runs)]
+    heading = np.sqrt(np.mean([flight.heading_deg[-1] ** 2 for flight in flights]))
+    error = np.sqrt(np.mean([flight.error[-1] ** 2 for flight in flights]))
+    nees = float(np.mean([flight.nees[-1] for flight in flights]))
+    print(f"{lat_deg} deg: NEES {nees:.2f}, position {error:.1f} m, heading {heading:.2f} deg")
+    return nees
+
+
+def test_the_covariance_holds_at_the_largest_latitude():
+    low, high = chi2.ppf([0.0005, 0.9995], 2 * 4) / (2 * 4)
+    assert low < nees_at(89.4, 4) < high
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("lat_deg", [45.0, 80.0, 89.0, 89.4, -89.4])
+def test_the_covariance_holds_at_all_latitudes(lat_deg):
+    low, high = chi2.ppf([0.0005, 0.9995], 2 * 12) / (2 * 12)
+    assert low < nees_at(lat_deg, 12) < high
 
 
 @pytest.mark.parametrize("lat_deg", [90.0, -90.0, 89.6])

@@ -54,9 +54,6 @@ TRANSIT = Trajectory(
     h_0=-20.0,
 )
 
-#: Origin of odom: latitude, longitude [rad], height [m].
-ORIGIN = TRANSIT.origin
-
 _LEG, _TURN = 60.0, 24.0  # s
 
 
@@ -104,6 +101,7 @@ class Case:
         dvl_rate: Its pings per second [Hz].
         error_state: Of the filter.
         trajectory: The motion.
+        latitude_deg: Of the origin of odom.
     """
 
     grade: Grade
@@ -117,6 +115,12 @@ class Case:
     dvl_rate: float = 1.0
     error_state: str = "invariant"
     trajectory: Trajectory = TRANSIT
+    latitude_deg: float = math.degrees(TRANSIT.lat_0)
+
+    @property
+    def origin(self) -> Array:
+        """Origin of odom (3,): latitude, longitude [rad], height [m]."""
+        return np.array([math.radians(self.latitude_deg), TRANSIT.lon_0, TRANSIT.h_0])
 
 
 @dataclass(frozen=True)
@@ -164,7 +168,7 @@ def parameters(case: Case) -> FilterParameters:
             gyroscope_bias_std=grade.gyroscope_bias,
         ),
         origin=OriginParameters(
-            latitude_deg=math.degrees(TRANSIT.lat_0),
+            latitude_deg=case.latitude_deg,
             longitude_deg=math.degrees(TRANSIT.lon_0),
             height=TRANSIT.h_0,
         ),
@@ -211,7 +215,7 @@ def fly(
             from the origin of odom.
     """
     mission = simulate(
-        trajectory_from(case.trajectory, case.start),
+        trajectory_from(case),
         constant(case.grade.variances(RATE)),
         seed=seed,
         duration=case.duration,
@@ -219,7 +223,7 @@ def fly(
         dvl=DvlModel(rate=case.dvl_rate, noise_std=(case.dvl_std,) * 3),
         earth_rate=case.earth_rate,
     )
-    mission = counted_from(mission, ORIGIN)
+    mission = counted_from(mission, case.origin)
     initial = initial_state(case, mission.initial, np.random.default_rng([seed, _INITIAL]))
     more = events(mission, np.random.default_rng([seed, _EVENTS])) if events else ()
     pings = zip(mission.dvl_stamps_ns.tolist(), mission.v_d, strict=True)
@@ -252,13 +256,13 @@ def fly(
     )
 
 
-def trajectory_from(trajectory: Trajectory, start: tuple[float, float, float]) -> Trajectory:
+def trajectory_from(case: Case) -> Trajectory:
     """The motion at its place on the Earth, which is `start` from the origin of odom."""
-    place = place_of(np.array(start), ORIGIN)
+    place = place_of(np.array(case.start), case.origin)
     if place is None:
-        raise ValueError(f"start {start} is too far from the origin")
+        raise ValueError(f"start {case.start} is no place at which the filter navigates")
     lat, lon, height = place.tolist()
-    return replace(trajectory, lat_0=lat, lon_0=lon, h_0=height)
+    return replace(case.trajectory, lat_0=lat, lon_0=lon, h_0=height)
 
 
 def _squared(e: Array, P: Array) -> Array:
