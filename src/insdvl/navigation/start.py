@@ -140,6 +140,13 @@ class OriginParameters:
         0.0, "Height of the origin above the ellipsoid.", unit="m", low=-12_000.0, high=100_000.0
     )
 
+    @property
+    def place(self) -> Array:
+        """(3,) latitude, longitude [rad] and height [m]."""
+        return np.array(
+            [math.radians(self.latitude_deg), math.radians(self.longitude_deg), self.height]
+        )
+
 
 @kernel
 def _set_turn_rate(state: Records, workspace: Records, constants: Records, w_ib_b: Array) -> None:
@@ -200,8 +207,7 @@ class Start:
         """Set the origin, where the parameters tell it."""
         origin = self._origin
         if origin.source == "parameters":
-            latitude, longitude = np.radians([origin.latitude_deg, origin.longitude_deg])
-            locate(s, Origin(0, float(latitude), float(longitude), origin.height))
+            locate(s, Origin(0, *origin.place.tolist()))
 
     def initialise(self, state: Records, initial: Initial, stamp_ns: int, w_ib_b: Array) -> bool:
         """The state becomes `initial`, its covariance P0 mapped to the model's coordinates.

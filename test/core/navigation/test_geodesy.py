@@ -346,6 +346,22 @@ def test_a_vehicle_that_sails_to_the_pole_is_held_and_says_so(model, sign):
     assert np.linalg.eigvalsh(nav["P"][:15, :15])[0] > -1e-9
 
 
+@pytest.mark.parametrize("lat_deg", [MAX_LATITUDE_DEG, -MAX_LATITUDE_DEG])
+def test_the_largest_latitude_itself_may_be_the_origin(lat_deg):
+    filter_ = Filter(build(FilterParameters, {"origin.latitude_deg": lat_deg}))
+    state = filter_.empty()
+    initial = Initial(0, np.eye(3), np.zeros(3), np.zeros(3), "body")
+    filter_.initialise(state, initial, 0, np.zeros(3))
+    assert state[0]["nav"]["initialised"]
+    assert refusal(Origin(0, np.radians(lat_deg), 0.0, 0.0)) is None
+
+
+@pytest.mark.parametrize("position", [(0.0, 6e4, 0.0), (8e5, 8e5, 0.0)])
+def test_parameters_that_start_at_no_place_are_refused(position):
+    with pytest.raises(ParameterError, match=r"initial\.position.*1000 km.*89\.5 deg"):
+        build(FilterParameters, {"origin.latitude_deg": 89.0, "initial.position": position})
+
+
 @pytest.mark.parametrize("p_o", [(2e6, 0.0, 0.0), (60_000.0, 0.0, 0.0)])
 def test_a_start_at_no_place_is_counted_and_not_used(p_o):
     """Too far from the origin, or beyond the largest latitude."""

@@ -163,7 +163,7 @@ def place_of(p_o: Array, origin: Array) -> Array | None:
         position(found, place, origin)
         step = p_o[:2] - found[:2]
         if np.hypot(*step) < _TOLERANCE:
-            return place if abs(place[0]) < MAX_LATITUDE else None
+            return place
         axes(C, place, origin)
         north, east = np.linalg.solve(C[:2, :2], step)
         R_N, R_E = radii(place[0])
