@@ -3,11 +3,13 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from places import place
 
 from insdvl.arrays import Array, Records
 from insdvl.navigation import error_state
 from insdvl.navigation.error_state import ATTITUDE, POSITION
 from insdvl.navigation.events import MAX_DISTANCE, Limits, Measurement
+from insdvl.navigation.geometry.earth import displacements
 from insdvl.navigation.measurements.base import Linearised, SensorModel, SensorParameters, Vehicle
 from insdvl.navigation.measurements.depth import Depth
 from insdvl.navigation.parameters import FilterParameters
@@ -16,19 +18,19 @@ from insdvl.navigation.state import State
 
 @dataclass(frozen=True, slots=True)
 class Fix(Measurement):
-    """Position of the IMU in odom (3,), north-east-down [m], and one sigma of each axis."""
+    """Position of the IMU in odom (3,), north-east-down [m], and one sigma at the vehicle."""
 
-    p_n: Array
+    p_o: Array
     std: float
 
     name = Depth.name
     kind = Depth.kind
 
     def payload(self) -> bytes:
-        return self.p_n.tobytes()
+        return self.p_o.tobytes()
 
     def limits(self) -> Limits:
-        return ((self.p_n, MAX_DISTANCE),)
+        return ((self.p_o, MAX_DISTANCE),)
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ class FixParameters(SensorParameters):
 
 
 class FixModel(SensorModel[Fix]):
-    """h = p_n, H = [0, -[x x], 0, 0, I]."""
+    """z - h in metres at the vehicle, H = [0, -[x x], 0, 0, I]."""
 
     rows = 3
 
@@ -52,16 +54,18 @@ class FixModel(SensorModel[Fix]):
         self._vehicle = vehicle
 
     def reading(self, event: Fix) -> Array:
-        return event.p_n
+        return event.p_o
 
     def refusal(self, event: Fix, repeats: int, *, contradicted: bool) -> str:
         return ""
 
     def linearise(self, state: Records, event: Fix, turn: object) -> Linearised:
+        nav = state[0]["nav"]
+        z_minus_h = displacements(nav["llh"], place(nav, event.p_o))
         H = np.zeros((3, self._vehicle.n))
         H[:, POSITION] = np.eye(3)
         H[:, ATTITUDE] = -error_state.turns_position(state[0], invariant=self._vehicle.invariant)
-        return Linearised(event.p_n - state[0]["nav"]["p_n"], H, np.eye(3) * event.std**2)
+        return Linearised(z_minus_h, H, np.eye(3) * event.std**2)
 
     def drift(self, s: State, seconds: float) -> Array:
         return np.zeros((3, 3))

@@ -4,7 +4,7 @@ Nothing here is taken from insdvl. Rotations are scipy's, their means come from 
 matrices of the invariant error from those of the plain one by the change of coordinates
 
     x_invariant = T x_ned,  T = I but for [v x] in the block (velocity, attitude) and
-                            [(p - r) x] in the block (position, attitude), r being the start,
+                            [x x] in the block (position, attitude), x being metres from the start,
 
 so F = T F_ned T^-1 + T' T^-1, G = T G_ned, H = H_ned T^-1.
 """
@@ -19,6 +19,8 @@ from scipy.stats import chi2
 V, A, F, W, P, D = (slice(i, i + 3) for i in range(0, 18, 3))
 I3 = np.eye(3)
 NS = 10**9
+A_WGS, F_WGS = 6378137.0, 1 / 298.257223563
+E2 = F_WGS * (2 - F_WGS)
 
 # Quadrature over [0, 1], exact to rounding for the mean of a rotation through a few degrees.
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(5)
@@ -57,6 +59,25 @@ def wgs84(lat, h):
     return np.array([0.0, 0.0, g]), w_ie, W_v, north
 
 
+def scales(lat, h):
+    """Metres per radian of latitude and longitude, and per metre of height, to the down axis."""
+    s = 1 - E2 * np.sin(lat) ** 2
+    return np.array([A_WGS * (1 - E2) / s**1.5 + h, (A_WGS / s**0.5 + h) * np.cos(lat), -1.0])
+
+
+def metres(start, end):
+    """North, east, down between two places, by the scales halfway; longitudes do not wrap here."""
+    return (end - start) * scales((start[0] + end[0]) / 2, (start[2] + end[2]) / 2)
+
+
+def gone(start, d):
+    """The place at the end of so many metres north, east, down: a root of `metres`."""
+    guess = start + d / scales(start[0], start[2])
+    for _ in range(6):
+        guess = start + d / scales((start[0] + guess[0]) / 2, (start[2] + guess[2]) / 2)
+    return guess
+
+
 @dataclass
 class DenseFilter:
     """Predict and update with everything written out.
@@ -65,12 +86,10 @@ class DenseFilter:
     """
 
     invariant: bool
-    lat_0: float
-    h_0: float
     C: np.ndarray
     v: np.ndarray
-    p: np.ndarray
-    r: np.ndarray
+    p: np.ndarray  # latitude, longitude, height
+    r: np.ndarray  # the same of the start
     P: np.ndarray
     eps_f: float = 0.0
     eps_w: float = 0.0
@@ -90,16 +109,16 @@ class DenseFilter:
     def n(self):
         return len(self.P)
 
-    def earth(self):
-        *_, north = wgs84(self.lat_0, self.h_0)
-        return wgs84(self.lat_0 + self.p[0] / (north + self.h_0), self.h_0 - self.p[2])[:3]
+    def earth(self, ahead=0.0):
+        lat, _, h = self.p + ahead * self.v / (A_WGS, 1.0, -1.0)
+        return wgs84(lat, h)[:3]
 
-    def coordinates(self, v, p):
-        """T: from plain errors to those of the model."""
+    def coordinates(self, v, x):
+        """T: from plain errors to those of the model; x are metres from the start."""
         T = np.eye(self.n)
         if self.invariant:
             T[V, A] = skew(v)
-            T[P, A] = skew(p - self.r)
+            T[P, A] = skew(x)
         return T
 
     def predict(self, f_b, w_ib_b, dt, Q_f, Q_w, w_before=None, sample=0.0):
@@ -111,7 +130,7 @@ class DenseFilter:
         f_b, w_ib_b = f_b - self.b_f, w_ib_b - self.b_w
         if w_before is not None:
             w_ib_b = w_ib_b + np.cross(w_before - self.b_w, w_ib_b) * sample / 12
-        g, w_ie, W_v = self.earth()
+        g, w_ie, W_v = self.earth(dt / 2)
         start = w_ie + W_v @ self.v
         mean_turn = np.tensordot(WEIGHTS, exp(NODES[:, None] * w_ib_b * dt), 1)
         C_mid = exp(-start * dt / 2) @ self.C @ mean_turn
@@ -122,8 +141,8 @@ class DenseFilter:
 
         v_mid = self.v + dt / 2 * acceleration(self.v)
         a = acceleration(v_mid)
-        p_mid = self.p + dt / 2 * self.v
-        self.p = self.p + dt * self.v + dt**2 / 2 * a
+        x_mid = metres(self.r, self.p) + dt / 2 * self.v
+        self.p = gone(self.p, dt * self.v + dt**2 / 2 * a)
         self.v = self.v + dt * a
         self.C = exp(-(w_ie + W_v @ v_mid) * dt) @ self.C @ exp(w_ib_b * dt)
         beta = 1 / self.dvl_time_constant
@@ -145,7 +164,7 @@ class DenseFilter:
         dynamics[P, V] = I3
         G[V, V], G[A, A], G[F, F], G[W, W] = -C_mid, -C_mid, I3, I3
         Q[V, V], Q[A, A], Q[F, F], Q[W, W] = Q_f, Q_w, self.eps_f * I3, self.eps_w * I3
-        T, T_dot = self.coordinates(v_mid, p_mid), np.zeros((n, n))
+        T, T_dot = self.coordinates(v_mid, x_mid), np.zeros((n, n))
         if self.invariant:
             T_dot[V, A], T_dot[P, A] = skew(a), skew(v_mid)
         back = 2 * np.eye(n) - T  # T^-1, since (T - I)^2 = 0
@@ -217,7 +236,7 @@ class DenseFilter:
         if self.n > 15:
             H[:, D] = I3
             h = h + self.b_d
-        H = H @ (2 * np.eye(self.n) - self.coordinates(self.v, self.p))
+        H = H @ (2 * np.eye(self.n) - self.coordinates(self.v, metres(self.r, self.p)))
         R = R + l_x @ Q_w_there @ l_x.T
         S = H @ self.P @ H.T + R
         nu = v_d - h
@@ -233,13 +252,14 @@ class DenseFilter:
             heading, tilt = exp(x[5] * down), exp(x[A] - x[5] * down)
             self.C = heading @ tilt @ self.C
             self.v = heading @ (tilt @ self.v + x[V])
-            self.p = self.r + heading @ (tilt @ (self.p - self.r) + x[P])
+            way = metres(self.r, self.p)
+            self.p = gone(self.p, heading @ (tilt @ way + x[P]) - way)
             turn = np.eye(self.n)
             turn[V, V] = turn[A, A] = turn[P, P] = heading
             self.P, self.bend = turn @ self.P @ turn.T, heading[:2, :2] @ self.bend
         else:
             self.C = exp(x[A]) @ self.C
-            self.v, self.p = self.v + x[V], self.p + x[P]
+            self.v, self.p = self.v + x[V], gone(self.p, x[P])
         self.b_f, self.b_w = self.b_f + x[F], self.b_w + x[W]
         if self.n > 15:
             self.b_d = self.b_d + x[D]

@@ -16,6 +16,7 @@ import numpy as np
 
 from insdvl.arrays import Array
 from insdvl.navigation.events import MAX_VARIANCE, NS, Imu, Initial, Origin, ProcessNoise
+from insdvl.navigation.geometry.earth import MAX_LATITUDE_DEG
 from insdvl.navigation.geometry.frames import Convention, rotation_from_quaternion
 from insdvl.navigation.measurements.dvl import Dvl
 
@@ -210,8 +211,8 @@ def initial(message: Any, convention: Convention, *, once: bool) -> Initial:
 
     return Initial(
         stamp_ns=stamp_ns(message.header),
-        C_n_b=convention.attitude(rotation_from_quaternion(q_xyzw)),
-        p_n=nav @ vector(message.pose.pose.position, "position"),
+        C_o_b=convention.attitude(rotation_from_quaternion(q_xyzw)),
+        p_o=nav @ vector(message.pose.pose.position, "position"),
         v=body @ vector(message.twist.twist.linear, "twist.linear"),
         velocity_frame="body",
         P_v=block(twist, slice(0, 3), body),
@@ -238,8 +239,11 @@ def origin(message: Any, height: float) -> Origin:
     fix = np.array([message.latitude, message.longitude, altitude], dtype=float)
     if not np.isfinite(fix).all():
         raise RejectedMessage("not_finite", f"fix is {fix.tolist()}")
-    if abs(fix[0]) > 90.0:
-        raise RejectedMessage("out_of_range", f"latitude is {fix[0]} deg")
+    if abs(fix[0]) > MAX_LATITUDE_DEG:
+        raise RejectedMessage(
+            "out_of_range",
+            f"latitude is {fix[0]} deg, the filter navigates within +-{MAX_LATITUDE_DEG:g} deg",
+        )
     return Origin(
         stamp_ns=stamp_ns(message.header),
         lat=float(np.radians(fix[0])),

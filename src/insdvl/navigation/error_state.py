@@ -13,6 +13,8 @@ where t is psi without the heading and x = p - r the position from the reference
 position was known when the heading was not: the start. A heading error turns all else, the path
 travelled since the start with it: whatever its size it is in neither the motion nor the velocity
 that a DVL measures, apart from the Earth's rotation.
+Positions are places on the Earth, and their differences metres north, east and down
+(`geometry.earth.displacement`) in the axes at the vehicle.
 
 Behind the fifteen states that every filter has come the blocks of optional states that sensors
 bring (measurements/base.py), each a first-order Gauss-Markov process or a constant.
@@ -25,6 +27,7 @@ from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array
 from insdvl.kernels import kernel
+from insdvl.navigation.geometry import earth
 from insdvl.navigation.geometry.rotation import (
     exponential,
     orthonormalise,
@@ -350,9 +353,10 @@ def inject(s: State, c: Constants, dx: Array) -> None:
         orthonormalise(nav.C_n_b, rotated)
         for i in range(3):
             nav.v_n[i] += dx[_V + i]
-            nav.p_n[i] += dx[_P + i]
+        if not earth.move(nav.llh, dx[_P : _P + 3]):
+            s.counters.beyond_latitude += 1
         return
-    tilted, before = np.empty(3), np.empty(3)
+    tilted, before, after = np.empty(3), np.empty(3), np.empty(3)
     exponential(turn, rotated, dx[_A], dx[_A + 1], 0.0)
     product(rotated, turn, nav.C_n_b)
     cos, sin = np.cos(dx[_A + 2]), np.sin(dx[_A + 2])
@@ -365,14 +369,15 @@ def inject(s: State, c: Constants, dx: Array) -> None:
     for i in range(3):
         tilted[i] += dx[_V + i]
     _turn_about_down(nav.v_n, tilted, cos, sin)
-    for i in range(3):
-        before[i] = nav.p_n[i] - nav.r_n[i]
+    earth.displacement(before, nav.llh_r, nav.llh)
     rotate(tilted, turn, before)
     for i in range(3):
         tilted[i] += dx[_P + i]
-    _turn_about_down(before, tilted, cos, sin)
+    _turn_about_down(after, tilted, cos, sin)
     for i in range(3):
-        nav.p_n[i] = nav.r_n[i] + before[i]
+        after[i] -= before[i]
+    if not earth.move(nav.llh, after):
+        s.counters.beyond_latitude += 1
     turn_axes(nav.P, cos, sin)
     north, east = nav.bend_n[0], nav.bend_n[1]
     nav.bend_n[0] = cos * north - sin * east
@@ -437,8 +442,7 @@ def turns_position(s: State, *, invariant: bool) -> Array:
 
     The error of the position in metres is dp = dp_model - [x x] psi.
     """
-    nav = s["nav"]
-    return cross_matrix(nav["p_n"] - nav["r_n"]) if invariant else np.zeros((3, 3))
+    return cross_matrix(from_reference(s["nav"])) if invariant else np.zeros((3, 3))
 
 
 def attitude_error(nav: State, C_n_b: Array, *, invariant: bool) -> Array:
@@ -462,18 +466,25 @@ def attitude_error(nav: State, C_n_b: Array, *, invariant: bool) -> Array:
     return tilt + np.arctan2(R_h[..., 1, 0], R_h[..., 0, 0])[..., None] * _DOWN
 
 
-def position_error(nav: State, C_n_b: Array, p_n: Array, *, invariant: bool) -> Array:
+def from_reference(nav: State) -> Array:
+    """x (..., 3), the position from the reference [m], of groups ``nav`` of records (...)."""
+    return earth.displacements(nav["llh_r"], nav["llh"])
+
+
+def position_error(nav: State, C_n_b: Array, llh: Array, *, invariant: bool) -> Array:
     """Exact error (..., 3) of the position in the coordinates of the model [m].
 
     Args:
         nav: Group ``nav`` of records (...).
         C_n_b: (..., 3, 3) true attitude.
-        p_n: (..., 3) true position [m].
+        llh: (..., 3) true latitude, longitude [rad] and height [m].
         invariant: Which error state it is.
     """
+    error = earth.displacements(nav["llh"], llh)
     if not invariant:
-        return np.asarray(p_n - nav["p_n"])
-    return _turned_error(nav, C_n_b, p_n - nav["r_n"], nav["p_n"] - nav["r_n"])
+        return error
+    x_n = from_reference(nav)
+    return _turned_error(nav, C_n_b, x_n + error, x_n)
 
 
 def velocity_error(nav: State, C_n_b: Array, v_n: Array, *, invariant: bool) -> Array:
@@ -512,14 +523,14 @@ def move_reference(s: State) -> None:
     measurement, the heading is known by then, and d is 0 or turns nothing.
     """
     nav = s["nav"]
-    P, x_n = nav["P"], nav["p_n"] - nav["r_n"]
+    P, x_n = nav["P"], from_reference(nav)
     heading = ATTITUDE.stop - 1
     lever = cross_matrix(x_n)[:, 2]  # what a heading error adds to dp_i, for d = x
     denominator = P[heading, heading] * (lever @ lever)
     if not denominator > 0.0:
         return
     d = float(np.clip(lever @ P[POSITION, heading] / denominator, 0.0, 1.0)) * x_n
-    nav["r_n"] += d
+    earth.move(nav["llh_r"], d)
     nav["bend_n"] = 0.0
     T = -cross_matrix(d)
     P[POSITION, :] += T @ P[ATTITUDE, :]

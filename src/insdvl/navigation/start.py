@@ -19,8 +19,10 @@ from insdvl.navigation.error_state import (
     VELOCITY,
 )
 from insdvl.navigation.events import NS, Imu, Initial, Origin
-from insdvl.navigation.geometry.earth import gravity
+from insdvl.navigation.geometry import odom
+from insdvl.navigation.geometry.earth import MAX_LATITUDE_DEG, gravity, move
 from insdvl.navigation.geometry.frames import rotation_from_rpy
+from insdvl.navigation.geometry.odom import MAX_FROM_ORIGIN
 from insdvl.navigation.measurements.base import Block, Vehicle
 from insdvl.navigation.state import NEVER, State
 from insdvl.parameters.declaration import ParameterError, parameter
@@ -40,6 +42,7 @@ _NO_INITIAL_TOPIC = (
     "gps/fix",
     "set_odometry",
     "odometry/filtered",
+    "gps/filtered",
 )
 
 
@@ -59,7 +62,12 @@ class InitialParameters:
         1.0, "Duration over which 'levelling' averages the specific force.", unit="s", above=0.0
     )
     position: tuple[float, ...] = parameter(
-        (0.0, 0.0, 0.0), "Position of base_link in odom.", unit="m", length=3
+        (0.0, 0.0, 0.0),
+        "Position of base_link in odom.",
+        unit="m",
+        low=-MAX_FROM_ORIGIN,
+        high=MAX_FROM_ORIGIN,
+        length=3,
     )
     rpy: tuple[float, ...] = parameter(
         (0.0, 0.0, 0.0),
@@ -119,7 +127,11 @@ class OriginParameters:
         choices=("parameters", "topic"),
     )
     latitude_deg: float = parameter(
-        32.0, "Geodetic latitude of the origin.", unit="deg", low=-90.0, high=90.0
+        32.0,
+        "Geodetic latitude of the origin.",
+        unit="deg",
+        low=-MAX_LATITUDE_DEG,
+        high=MAX_LATITUDE_DEG,
     )
     longitude_deg: float = parameter(
         34.0, "Longitude of the origin.", unit="deg", low=-180.0, high=360.0
@@ -127,6 +139,13 @@ class OriginParameters:
     height: float = parameter(
         0.0, "Height of the origin above the ellipsoid.", unit="m", low=-12_000.0, high=100_000.0
     )
+
+    @property
+    def place(self) -> Array:
+        """(3,) latitude, longitude [rad] and height [m]."""
+        return np.array(
+            [math.radians(self.latitude_deg), math.radians(self.longitude_deg), self.height]
+        )
 
 
 @kernel
@@ -178,8 +197,8 @@ class Start:
         in_body = parameters.velocity_frame == "body"
         self._initial = Initial(
             stamp_ns=0,
-            C_n_b=axes.attitude(rotation_from_rpy(np.array(parameters.rpy))),
-            p_n=axes.nav @ np.array(parameters.position),
+            C_o_b=axes.attitude(rotation_from_rpy(np.array(parameters.rpy))),
+            p_o=axes.nav @ np.array(parameters.position),
             v=(axes.body if in_body else axes.nav) @ np.array(parameters.velocity),
             velocity_frame=parameters.velocity_frame,
         )
@@ -188,13 +207,14 @@ class Start:
         """Set the origin, where the parameters tell it."""
         origin = self._origin
         if origin.source == "parameters":
-            latitude, longitude = np.radians([origin.latitude_deg, origin.longitude_deg])
-            locate(s, Origin(0, float(latitude), float(longitude), origin.height))
+            locate(s, Origin(0, *origin.place.tolist()))
 
     def initialise(self, state: Records, initial: Initial, stamp_ns: int, w_ib_b: Array) -> bool:
         """The state becomes `initial`, its covariance P0 mapped to the model's coordinates.
 
-        Without an origin there is no gravity to navigate with: that is counted, and nothing starts.
+        Without an origin there is no gravity to navigate with, and no place on the Earth; that is
+        counted, and nothing starts. The same holds for a position that is no place at which the
+        filter navigates.
 
         Args:
             state: (1,) record.
@@ -210,14 +230,22 @@ class Start:
         if np.isnan(nav["lat_0"]):
             s["counters"]["without_origin"] += 1
             return False
-        C, l_b = initial.C_n_b, vehicle.l_b_imu
+        origin = np.array([nav["lat_0"], nav["lon_0"], nav["h_0"]])
+        place = odom.place_of(initial.p_o, origin)
+        if place is None:
+            s["counters"]["off_the_map"] += 1
+            return False
+        J, turn = odom.jacobian(place, origin)
+        to_n, J_inverse = turn.T, np.linalg.inv(J)
+        C, l_b = to_n @ initial.C_o_b, vehicle.l_b_imu
         in_body = initial.velocity_frame == "body"
         nav["b_f"] = self._bias(parameters.accelerometer_bias)
         nav["b_w"] = self._bias(parameters.gyroscope_bias)
         nav["optional"] = 0.0
-        nav["C_n_b"], nav["p_n"], nav["r_n"] = C, initial.p_n + C @ l_b, initial.p_n
+        nav["C_n_b"], nav["llh"], nav["llh_r"] = C, place, place
+        move(nav["llh"], C @ l_b)
         nav["bend_n"] = 0.0
-        nav["v_n"] = C @ initial.v if in_body else initial.v
+        nav["v_n"] = C @ initial.v if in_body else to_n @ initial.v
         _set_turn_rate(state, vehicle.workspace, vehicle.constants, w_ib_b - nav["b_w"])
         v_arm = C @ np.cross(nav["w_nb_b"], l_b)  # of the IMU against base_link
         nav["v_n"] += v_arm
@@ -225,28 +253,33 @@ class Start:
         n = vehicle.n
         P = np.zeros((n, n))
         P[VELOCITY, VELOCITY] = _or_isotropic(initial.P_v, parameters.velocity_std)
-        P[ATTITUDE, ATTITUDE] = (
-            np.diag(np.square(parameters.attitude_std)) if initial.P_psi is None else initial.P_psi
-        )
+        if not in_body:
+            P[VELOCITY, VELOCITY] = to_n @ P[VELOCITY, VELOCITY] @ to_n.T
+        P_psi = initial.P_psi
+        if P_psi is None:
+            P_psi = np.diag(np.square(parameters.attitude_std))
+        P[ATTITUDE, ATTITUDE] = to_n @ P_psi @ to_n.T
         P[ACCELEROMETER_BIAS, ACCELEROMETER_BIAS] = np.eye(3) * parameters.accelerometer_bias_std**2
         P[GYROSCOPE_BIAS, GYROSCOPE_BIAS] = np.eye(3) * parameters.gyroscope_bias_std**2
-        P[POSITION, POSITION] = _or_isotropic(initial.P_p, parameters.position_std)
+        P_p = _or_isotropic(initial.P_p, parameters.position_std)
+        P[POSITION, POSITION] = J_inverse @ P_p @ J_inverse.T
         for block in self._blocks:
             at = vehicle.blocks[block.name]
             P[at, at] = np.diag(np.square(block.std))
             if block.initial:
                 nav["optional"][vehicle.optional(block.name)] = block.initial
+        x_n = error_state.from_reference(nav)
         T = error_state.from_ordinary_errors(
             C,
             nav["v_n"],
-            nav["p_n"] - nav["r_n"],
+            x_n,
             invariant=vehicle.invariant,
             velocity_frame=initial.velocity_frame,
             n=n,
         )
         # From base_link to the IMU: its arm turns with the attitude, at the rate of a noisy sample.
         # The reference is where base_link starts, so for `invariant` the two position terms cancel.
-        T[POSITION, ATTITUDE] -= error_state.cross_matrix(nav["p_n"] - nav["r_n"])
+        T[POSITION, ATTITUDE] -= error_state.cross_matrix(x_n)
         if not in_body:
             T[VELOCITY, ATTITUDE] -= error_state.cross_matrix(v_arm)
         T[VELOCITY, GYROSCOPE_BIAS] = C @ error_state.cross_matrix(l_b)
@@ -314,12 +347,12 @@ class Start:
             return False
         roll = np.arctan2(-f_b[1], -f_b[2])
         pitch = np.arctan2(f_b[0], np.hypot(f_b[1], f_b[2]))
-        C = self._initial.C_n_b
+        C = self._initial.C_o_b
         heading = np.arctan2(C[1, 0], C[0, 0])
         initial = Initial(
             stamp_ns=sample.stamp_ns,
-            C_n_b=rotation_from_rpy(np.array([roll, pitch, heading])),
-            p_n=self._initial.p_n,
+            C_o_b=rotation_from_rpy(np.array([roll, pitch, heading])),
+            p_o=self._initial.p_o,
             v=self._initial.v,
             velocity_frame=self._initial.velocity_frame,
         )

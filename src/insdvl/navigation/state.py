@@ -68,8 +68,9 @@ def _nav(n: int) -> tuple[Field, ...]:
         *(Field(name, UNKNOWN) for name in ("lat_0", "lon_0", "h_0")),
         Field("C_n_b", NUMBER, (3, 3)),
         Field("v_n", NUMBER, (3,)),  # m/s
-        Field("p_n", NUMBER, (3,)),  # m from the origin
-        Field("r_n", NUMBER, (3,)),  # reference of the position error, m from the origin
+        # Latitude, longitude [rad], height [m], and the same of the position error's reference
+        Field("llh", NUMBER, (3,)),
+        Field("llh_r", NUMBER, (3,)),
         Field("bend_n", NUMBER, (2,)),  # of the path by the gyroscope's bias, one sigma, m
         Field("b_f", NUMBER, (3,)),  # accelerometer bias, m/s^2
         Field("b_w", NUMBER, (3,)),  # gyroscope bias, rad/s
@@ -153,6 +154,8 @@ _COUNTERS = (
     Field("without_origin", COUNT),
     Field("too_old", COUNT),  # initial states from long before the first sample
     Field("not_level", COUNT),  # levellings that were restarted
+    Field("off_the_map", COUNT),  # initial states at no place that the filter could navigate at
+    Field("beyond_latitude", COUNT),  # steps that ended at the largest latitude
 )
 
 #: Counters in the state record, by their names in diagnostics.
@@ -279,6 +282,10 @@ def workspace_type(n: int) -> np.dtype[np.void]:
             ("g_n", "f8", (3,)),
             ("v_n", "f8", (3,)),
             ("x_n", "f8", (3,)),  # position from the reference
+            # Cosine of the latitude, and radii in the meridian and the prime vertical plus height
+            ("cosine_lat", "f8"),
+            ("R_N", "f8"),
+            ("R_E", "f8"),
             ("w_ie_n", "f8", (3,)),
             ("w_en_n", "f8", (3,)),
             ("w_in_n", "f8", (3,)),
@@ -308,6 +315,7 @@ def workspace_type(n: int) -> np.dtype[np.void]:
             ("rotated", "f8", (3, 3)),
             ("coriolis", "f8", (3,)),  # 2 w_ie + w_en
             ("a_n", "f8", (3,)),
+            ("d_n", "f8", (3,)),
             ("w_in_b", "f8", (3,)),
             ("g_b", "f8", (3,)),
             # Scratch of the error dynamics and the input noise: [v x], [x x], another, a block

@@ -303,9 +303,9 @@ class TestInitial:
     def test_facing_east_in_ros_is_a_heading_of_90_degrees(self):
         event = messages.initial(odometry_message(), ENU, once=True)
         np.testing.assert_allclose(
-            event.C_n_b, Rotation.from_euler("z", 90.0, degrees=True).as_matrix(), atol=1e-15
+            event.C_o_b, Rotation.from_euler("z", 90.0, degrees=True).as_matrix(), atol=1e-15
         )
-        np.testing.assert_array_equal(event.p_n, [2.0, 1.0, -3.0])
+        np.testing.assert_array_equal(event.p_o, [2.0, 1.0, -3.0])
         np.testing.assert_array_equal(event.v, [0.5, -0.1, -0.2])
         assert event.velocity_frame == "body"
         assert event.once
@@ -363,6 +363,8 @@ class TestOrigin:
             ({"altitude": INF}, "not_finite"),
             ({"altitude": -INF}, "not_finite"),
             ({"latitude": 90.1}, "out_of_range"),
+            ({"latitude": 90.0}, "out_of_range"),
+            ({"latitude": -89.6}, "out_of_range"),
             ({"latitude": -91.0}, "out_of_range"),
         ],
     )

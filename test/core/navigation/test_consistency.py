@@ -188,7 +188,7 @@ def block_errors(
         "velocity and attitude": (np.concatenate([truth.v_n[k] - v_turned, psi]), P[both, both]),
         "biases": (db, P[biases, biases]),
         "position": (
-            position_error(s["nav"], C, truth.p_n[k], invariant=invariant),
+            position_error(s["nav"], C, truth.llh[k], invariant=invariant),
             P[POSITION, POSITION],
         ),
     }

@@ -65,7 +65,7 @@ def fly(
         **groups,
     )
     C = m.initial.C_n_b[0]
-    start = Initial(0, C, m.initial.p_n[0], C.T @ m.initial.v_n[0], "body")
+    start = Initial(0, C, m.initial.p_o[0], C.T @ m.initial.v_n[0], "body")
     pings = [Dvl(t, v) for t, v in zip(m.dvl_stamps_ns.tolist(), m.v_d, strict=True)]
     return fold_arrays(settings, m.stamps_ns, m.f_b, m.w_ib_b, [start, *pings])
 
@@ -116,7 +116,7 @@ def test_the_covariance_after_an_update_is_josephs_form_and_nothing_else(error_s
         m.stamps_ns[last],
         m.f_b[last],
         m.w_ib_b[last],
-        [Initial(0, C, m.initial.p_n[0], C.T @ m.initial.v_n[0], "body")],
+        [Initial(0, C, m.initial.p_o[0], C.T @ m.initial.v_n[0], "body")],
     ).states[k]
     after, report = result.states[k], result.updates[0].report
 

@@ -78,8 +78,8 @@ def velocity_nees(name, dvl_rate, runs):
         psi = rng.standard_normal(3) * sigma.attitude_std
         initial = Initial(
             stamp_ns=0,
-            C_n_b=Rotation.from_rotvec(-psi).as_matrix() @ C,
-            p_n=mission.initial.p_n[0] + sigma.position_std * rng.standard_normal(3),
+            C_o_b=Rotation.from_rotvec(-psi).as_matrix() @ C,
+            p_o=mission.initial.p_o[0] + sigma.position_std * rng.standard_normal(3),
             v=C.T @ v_n + sigma.velocity_std * rng.standard_normal(3),
             velocity_frame="body",
         )

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from places import position
 from records import P15
 
 from insdvl.navigation.events import NS, Event, Imu, Initial, Origin, ProcessNoise
@@ -74,7 +75,7 @@ def mission(seconds: float, seed: int = SEED) -> list[Event]:
     C_b_i = rotation_from_rpy(np.array(SETTINGS.imu.mount))
     events: list[Event] = [
         Origin(START + STEP, AUV.lat_0, AUV.lon_0, AUV.h_0),
-        Initial(START + STEP + 3, C, m.initial.p_n[0], C.T @ v, "body"),
+        Initial(START + STEP + 3, C, m.initial.p_o[0], C.T @ v, "body"),
     ]
     for k, stamp in enumerate(m.stamps_ns.tolist()):
         if not 230 <= k < 250:
@@ -208,7 +209,7 @@ def test_of_duplicates_the_same_one_counts_in_any_order(seed: int) -> None:
     assert isinstance(events[k], Initial)
     copies += [
         replace(events[k], velocity_frame="nav"),
-        replace(events[k], p_n=np.ones(3)),
+        replace(events[k], p_o=np.ones(3)),
         replace(events[k], P_v=np.eye(3)),
         replace(events[k], P_psi=np.eye(3)),
     ]
@@ -605,8 +606,8 @@ def modes(mode: str, **initial: object) -> FilterParameters:
 
 
 def pose(k: float, once: bool = False, north: float = 0.0) -> Initial:
-    p_n = np.array([north, 0.0, 0.0])
-    return Initial(START + round(k * STEP), np.eye(3), p_n, np.zeros(3), "body", once=once)
+    p_o = np.array([north, 0.0, 0.0])
+    return Initial(START + round(k * STEP), np.eye(3), p_o, np.zeros(3), "body", once=once)
 
 
 def test_from_parameters_it_starts_at_the_first_sample() -> None:
@@ -614,7 +615,7 @@ def test_from_parameters_it_starts_at_the_first_sample() -> None:
     assert fold.latest is None
     fold.add(at(0))
     assert fold.latest["nav"]["time_ns"] == START
-    np.testing.assert_array_equal(fold.latest["nav"]["p_n"], [7.0, 8.0, 9.0])
+    np.testing.assert_allclose(position(fold.latest["nav"]), [7.0, 8.0, 9.0], atol=1e-8)
 
 
 @pytest.mark.parametrize("mode", ["topic", "set_odometry"])
@@ -651,11 +652,11 @@ def test_of_initials_that_apply_once_the_first_counts() -> None:
     fold = simple(30, modes("topic"))
     fold.add(pose(10.5, once=True, north=1.0))
     fold.add(pose(20.5, once=True, north=2.0))
-    assert fold.latest["nav"]["p_n"][0] == pytest.approx(1.0, abs=0.1)
+    assert position(fold.latest["nav"])[0] == pytest.approx(1.0, abs=0.1)
     fold.add(pose(5.5, once=True, north=3.0))
-    assert fold.latest["nav"]["p_n"][0] == pytest.approx(3.0, abs=0.1)
+    assert position(fold.latest["nav"])[0] == pytest.approx(3.0, abs=0.1)
     fold.add(pose(25.5, north=4.0))
-    assert fold.latest["nav"]["p_n"][0] == pytest.approx(4.0, abs=0.1)
+    assert position(fold.latest["nav"])[0] == pytest.approx(4.0, abs=0.1)
 
 
 @pytest.mark.parametrize("newest", [99.5, 100.0])
@@ -668,7 +669,7 @@ def test_of_those_that_waited_for_the_first_sample_the_newest_counts(newest: flo
         for event in [*order, at(100), at(101)]:
             fold.add(event)
         assert fold.counts["gaps"] == 0
-        assert fold.latest["nav"]["p_n"][0] == pytest.approx(newest, abs=0.1)
+        assert position(fold.latest["nav"])[0] == pytest.approx(newest, abs=0.1)
         states.append(fold.latest.tobytes())
     alone = Fold(modes("topic"))
     for event in [poses[2], at(100), at(101)]:
@@ -731,7 +732,7 @@ def test_the_rate_of_the_samples_may_change() -> None:
     b = offline(settings, [*coarse, ping]).states[-1]
     assert a["nav"]["time_ns"] == b["nav"]["time_ns"]
     np.testing.assert_allclose(b["nav"]["v_n"], a["nav"]["v_n"], atol=5e-5)
-    np.testing.assert_allclose(b["nav"]["p_n"], a["nav"]["p_n"], atol=1e-4)
+    np.testing.assert_allclose(position(b["nav"]), position(a["nav"]), atol=1e-4)
     np.testing.assert_allclose(np.diag(P15(b)), np.diag(P15(a)), rtol=2e-3)
 
 

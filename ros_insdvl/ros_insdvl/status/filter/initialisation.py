@@ -3,6 +3,8 @@
 from insdvl.messages.inputs import Inputs
 from insdvl.messages.topics import FIX, SET_ODOMETRY
 from insdvl.navigation.events import NS
+from insdvl.navigation.geometry.earth import MAX_LATITUDE_DEG
+from insdvl.navigation.geometry.odom import MAX_FROM_ORIGIN
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.timeline.fold import Fold
 from ros_insdvl.status.diagnostics import RECENT, WARN, Status, View
@@ -14,6 +16,9 @@ _EVENTS = {
     "origin and were not used: send them again after the fix",
     "too_old": "{count} initial states in the last {seconds:.0f} s were much older than the first "
     "IMU sample and were not used: check the sender's clock",
+    "off_the_map": "{count} initial states in the last {seconds:.0f} s were not used: their "
+    f"position is more than {MAX_FROM_ORIGIN / 1e3:.0f} km from the origin, or beyond "
+    f"{MAX_LATITUDE_DEG:g} deg of latitude",
     "not_level": "levelling restarted {count} times in the last {seconds:.0f} s: the specific "
     "force differs from gravity, or samples are missing; keep the vehicle still, check the IMU and "
     "its unit",

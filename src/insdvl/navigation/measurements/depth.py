@@ -1,9 +1,9 @@
 """The depth below the water's surface, from a pressure sensor or as a height that somebody tells.
 
-    h = h_s - (h_0 - p_D),  p_D = [p_n + C_n_b l]_D
+    d = h_s - (h - [C_n_b l]_D)
 
-h_s is the height of the surface above the ellipsoid, h_0 that of odom's origin, l the arm from the
-IMU to the sensor. The surface is an optional error state: with a large prior sigma it is unknown,
+h_s is the height of the surface above the ellipsoid, h that of the IMU, l the arm from the IMU to
+the sensor. The surface is an optional error state: with a large prior sigma it is unknown,
 and the first depth tells it, to within the filter's own height; with a sigma of zero it is known.
 """
 
@@ -175,7 +175,7 @@ class DepthModel(SensorModel[Depth]):
         return "frozen" if least > 0 and (again or least <= repeats + 1) else ""
 
     def linearise(self, state: Records, event: Depth, turn: Turn) -> Linearised:
-        """h = h_s - h_0 + [p_n + C_n_b l]_D, H = [0, -[a x]_D, 0, 0, e_D] and 1 for h_s.
+        """d = h_s - h + [C_n_b l]_D, H = [0, -[a x]_D, 0, 0, e_D] and 1 for h_s.
 
         a = C_n_b l for `ned`; for `invariant` a = x + C_n_b l, the sensor from the reference of the
         position error. The D row of [a x] is (-a_E, a_N, 0): tilt moves the sensor, a turn about
@@ -191,13 +191,13 @@ class DepthModel(SensorModel[Depth]):
         if self._surface is not None:
             H[0, self._surface] = 1.0
             surface = nav["optional"][vehicle.optional("surface")][0]
-        down = nav["p_n"][_DOWN] + arm[_DOWN]
+        height = nav["llh"][2] - arm[_DOWN]
         scale = 1.0
         if event.from_pressure:
-            scale = STANDARD_GRAVITY / gravity(nav["lat_0"], nav["h_0"] - down)
+            scale = STANDARD_GRAVITY / gravity(nav["llh"][0], height)
         variance = event.variance
         R = parameters.noise_std**2 if variance is None else variance * scale**2
-        predicted = surface - nav["h_0"] + down
+        predicted = surface - height
         return Linearised(np.array([event.depth * scale - predicted]), H, np.array([[R]]))
 
     def drift(self, s: State, seconds: float) -> Array:
@@ -227,7 +227,7 @@ class DepthModel(SensorModel[Depth]):
         """
         nav, down = s["nav"], POSITION.start + _DOWN
         P = nav["P"]
-        nav["p_n"][_DOWN] += innovation[0]
+        nav["llh"][2] -= innovation[0]
         turned = error_state.turns_position(s, invariant=self._vehicle.invariant)[_DOWN]
         P[down, :] = turned @ P[ATTITUDE, :]
         P[:, down] = P[down, :]

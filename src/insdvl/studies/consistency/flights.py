@@ -18,7 +18,7 @@ from insdvl.navigation.channels import ImuParameters
 from insdvl.navigation.error_state import HORIZONTAL_POSITION, attitude_error, position_error
 from insdvl.navigation.events import Event, Initial
 from insdvl.navigation.gate import GateParameters
-from insdvl.navigation.geometry.earth import latitude
+from insdvl.navigation.geometry.odom import place_of
 from insdvl.navigation.measurements.dvl import Dvl, DvlParameters
 from insdvl.navigation.odometry import odometry
 from insdvl.navigation.parameters import FilterParameters
@@ -101,6 +101,7 @@ class Case:
         dvl_rate: Its pings per second [Hz].
         error_state: Of the filter.
         trajectory: The motion.
+        latitude_deg: Of the origin of odom.
     """
 
     grade: Grade
@@ -114,6 +115,12 @@ class Case:
     dvl_rate: float = 1.0
     error_state: str = "invariant"
     trajectory: Trajectory = TRANSIT
+    latitude_deg: float = math.degrees(TRANSIT.lat_0)
+
+    @property
+    def origin(self) -> Array:
+        """Origin of odom (3,): latitude, longitude [rad], height [m]."""
+        return np.array([math.radians(self.latitude_deg), TRANSIT.lon_0, TRANSIT.h_0])
 
 
 @dataclass(frozen=True)
@@ -160,12 +167,16 @@ def parameters(case: Case) -> FilterParameters:
             accelerometer_bias_std=grade.accelerometer_bias,
             gyroscope_bias_std=grade.gyroscope_bias,
         ),
-        origin=OriginParameters(height=TRANSIT.h_0),
+        origin=OriginParameters(
+            latitude_deg=case.latitude_deg,
+            longitude_deg=math.degrees(TRANSIT.lon_0),
+            height=TRANSIT.h_0,
+        ),
     )
 
 
 def initial_state(case: Case, truth: Truth, rng: np.random.Generator) -> Initial:
-    """The true start, less an error drawn from P_0."""
+    """The true start in odom, less an error drawn from P_0."""
     sigma = parameters(case).initial
     psi = rng.standard_normal(3) * sigma.attitude_std
     anything = rng.uniform(-math.pi, math.pi)
@@ -174,21 +185,17 @@ def initial_state(case: Case, truth: Truth, rng: np.random.Generator) -> Initial
     C = truth.C_n_b[0]
     return Initial(
         stamp_ns=0,
-        C_n_b=Rotation.from_rotvec(psi).as_matrix().T @ C,
-        p_n=truth.p_n[0] + case.start - case.position_std * rng.standard_normal(3),
+        C_o_b=Rotation.from_rotvec(psi).as_matrix().T @ truth.C_o_b[0],
+        p_o=truth.p_o[0] - case.position_std * rng.standard_normal(3),
         v=C.T @ truth.v_n[0] - sigma.velocity_std * rng.standard_normal(3),
         velocity_frame="body",
     )
 
 
-def moved(mission: Mission, start: tuple[float, float, float]) -> Mission:
-    """The mission, counted from another origin of odom."""
-    truth, initial = mission.truth, mission.initial
-    return replace(
-        mission,
-        truth=replace(truth, p_n=truth.p_n + start),
-        initial=replace(initial, p_n=initial.p_n + start),
-    )
+def counted_from(mission: Mission, origin: Array) -> Mission:
+    """The mission in an odom with another origin (3,)."""
+    truth, initial = (part.in_odom_at(origin) for part in (mission.truth, mission.initial))
+    return replace(mission, truth=truth, initial=initial)
 
 
 def fly(
@@ -208,7 +215,7 @@ def fly(
             from the origin of odom.
     """
     mission = simulate(
-        trajectory_from(case.trajectory, case.start),
+        trajectory_from(case),
         constant(case.grade.variances(RATE)),
         seed=seed,
         duration=case.duration,
@@ -216,8 +223,8 @@ def fly(
         dvl=DvlModel(rate=case.dvl_rate, noise_std=(case.dvl_std,) * 3),
         earth_rate=case.earth_rate,
     )
+    mission = counted_from(mission, case.origin)
     initial = initial_state(case, mission.initial, np.random.default_rng([seed, _INITIAL]))
-    mission = moved(mission, case.start)
     more = events(mission, np.random.default_rng([seed, _EVENTS])) if events else ()
     pings = zip(mission.dvl_stamps_ns.tolist(), mission.v_d, strict=True)
     result = fold_arrays(
@@ -232,11 +239,11 @@ def fly(
     states = result.states[at].copy()
     truth, nav = mission.truth, states["nav"]
     e = position_error(
-        nav, truth.C_n_b[at], truth.p_n[at], invariant=case.error_state == "invariant"
+        nav, truth.C_n_b[at], truth.llh[at], invariant=case.error_state == "invariant"
     )[:, :2]
     P = nav["P"][:, HORIZONTAL_POSITION, HORIZONTAL_POSITION]
     published = [odometry(result.filter, states, k) for k in range(len(states))]
-    d = truth.p_n[at, :2] - np.array([o.position[:2] for o in published])
+    d = truth.p_o[at, :2] - np.array([o.position[:2] for o in published])
     covariance = np.array([o.pose_covariance[:2, :2] for o in published])
     psi = attitude_error(nav, truth.C_n_b[at], invariant=case.error_state == "invariant")
     del result
@@ -249,12 +256,13 @@ def fly(
     )
 
 
-def trajectory_from(trajectory: Trajectory, start: tuple[float, float, float]) -> Trajectory:
+def trajectory_from(case: Case) -> Trajectory:
     """The motion at its place on the Earth, which is `start` from the origin of odom."""
-    origin = OriginParameters(height=TRANSIT.h_0)
-    h_0 = origin.height
-    lat_0 = math.radians(origin.latitude_deg)
-    return replace(trajectory, lat_0=latitude(lat_0, h_0, start[0]), h_0=h_0 - start[2])
+    place = place_of(np.array(case.start), case.origin)
+    if place is None:
+        raise ValueError(f"start {case.start} is no place at which the filter navigates")
+    lat, lon, height = place.tolist()
+    return replace(case.trajectory, lat_0=lat, lon_0=lon, h_0=height)
 
 
 def _squared(e: Array, P: Array) -> Array:

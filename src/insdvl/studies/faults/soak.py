@@ -51,7 +51,7 @@ def start_parameters() -> dict[str, Any]:
     """The filter's parameters for the beginning of any hour, by name."""
     truth = LOOP.truth(np.zeros(1))
     return {
-        "initial.rpy": tuple(rpy_from_rotation(ENU.attitude(truth.C_n_b[0])).tolist()),
+        "initial.rpy": tuple(rpy_from_rotation(ENU.attitude(truth.C_o_b[0])).tolist()),
         "initial.velocity": tuple((ENU.body @ truth.C_n_b[0].T @ truth.v_n[0]).tolist()),
         "origin.height": LOOP.h_0,
     }
@@ -92,7 +92,7 @@ class Health:
             P: (n, n) its covariance.
         """
         C = state["nav"]["C_n_b"]
-        if not all(np.isfinite(state["nav"][name]).all() for name in ("C_n_b", "v_n", "p_n", "P")):
+        if not all(np.isfinite(state["nav"][name]).all() for name in ("C_n_b", "v_n", "llh", "P")):
             return Health(np.nan, np.nan, np.nan)
         sigma = np.sqrt(np.diag(P))
         correlation = P / np.outer(sigma, sigma)
