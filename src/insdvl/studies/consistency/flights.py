@@ -13,10 +13,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from insdvl.arrays import Array
+from insdvl.arrays import Array, Records
 from insdvl.navigation.channels import ImuParameters
 from insdvl.navigation.error_state import HORIZONTAL_POSITION, position_error
 from insdvl.navigation.events import Event, Initial
+from insdvl.navigation.filter import Filter
 from insdvl.navigation.gate import GateParameters
 from insdvl.navigation.geometry.earth import latitude
 from insdvl.navigation.measurements.dvl import Dvl, DvlParameters
@@ -101,6 +102,7 @@ class Case:
         dvl_rate: Its pings per second [Hz].
         error_state: Of the filter.
         trajectory: The motion.
+        latitude_deg: Of the origin of odom.
     """
 
     grade: Grade
@@ -114,6 +116,26 @@ class Case:
     dvl_rate: float = 1.0
     error_state: str = "invariant"
     trajectory: Trajectory = TRANSIT
+    latitude_deg: float = OriginParameters.latitude_deg
+
+
+@dataclass(frozen=True)
+class Flown:
+    """Filter and truth at every full second (K,) of one run.
+
+    Attributes:
+        filter: The filter.
+        states: (K,) its states.
+        truth: The truth at their stamps.
+        bias: (K, 6) true biases, f, then w.
+        position: (K, 3) error of the position in the coordinates of the model [m].
+    """
+
+    filter: Filter
+    states: Records
+    truth: Truth
+    bias: Array
+    position: Array
 
 
 @dataclass(frozen=True)
@@ -160,8 +182,12 @@ def parameters(case: Case) -> FilterParameters:
             accelerometer_bias_std=grade.accelerometer_bias,
             gyroscope_bias_std=grade.gyroscope_bias,
         ),
-        origin=OriginParameters(height=TRANSIT.h_0),
+        origin=_origin(case),
     )
+
+
+def _origin(case: Case) -> OriginParameters:
+    return OriginParameters(latitude_deg=case.latitude_deg, height=TRANSIT.h_0)
 
 
 def initial_state(case: Case, truth: Truth, rng: np.random.Generator) -> Initial:
@@ -191,14 +217,14 @@ def moved(mission: Mission, start: tuple[float, float, float]) -> Mission:
     )
 
 
-def fly(
+def flown(
     case: Case,
     seed: int,
     *,
     settings: FilterParameters | None = None,
     events: EventSource | None = None,
-) -> Flight:
-    """One run of a case.
+) -> Flown:
+    """One run of a case, flown by the filter.
 
     Args:
         case: What is flown.
@@ -208,7 +234,7 @@ def fly(
             from the origin of odom.
     """
     mission = simulate(
-        trajectory_from(case.trajectory, case.start),
+        trajectory_from(case),
         constant(case.grade.variances(RATE)),
         seed=seed,
         duration=case.duration,
@@ -229,32 +255,44 @@ def fly(
     )
     second = round(RATE)
     at = slice(second - 1, None, second)
-    states = result.states[at].copy()
-    truth, nav = mission.truth, states["nav"]
-    e = position_error(
-        nav, truth.C_n_b[at], truth.p_n[at], invariant=case.error_state == "invariant"
-    )[:, :2]
-    P = nav["P"][:, HORIZONTAL_POSITION, HORIZONTAL_POSITION]
-    published = [odometry(result.filter, states, k) for k in range(len(states))]
-    d = truth.p_n[at, :2] - np.array([o.position[:2] for o in published])
-    covariance = np.array([o.pose_covariance[:2, :2] for o in published])
-    turn = truth.C_n_b[at] @ np.swapaxes(nav["C_n_b"], 1, 2)
+    states, filter_ = result.states[at].copy(), result.filter
+    truth = Truth(**{name: array[at] for name, array in vars(mission.truth).items()})
+    invariant = case.error_state == "invariant"
+    position = position_error(states["nav"], truth.C_n_b, truth.p_n, invariant=invariant)
     del result
-    gc.collect()  # a fold refers to itself, and its records take 0.4 GB
+    gc.collect()  # a fold refers to itself, and its records take 0.3 MB per second
+    return Flown(filter_, states, truth, mission.bias[at], position)
+
+
+def fly(
+    case: Case,
+    seed: int,
+    *,
+    settings: FilterParameters | None = None,
+    events: EventSource | None = None,
+) -> Flight:
+    """Errors of the position in one run of a case; the arguments are those of `flown`."""
+    run = flown(case, seed, settings=settings, events=events)
+    truth, nav = run.truth, run.states["nav"]
+    P = nav["P"][:, HORIZONTAL_POSITION, HORIZONTAL_POSITION]
+    published = [odometry(run.filter, run.states, k) for k in range(len(run.states))]
+    d = truth.p_n[:, :2] - np.array([o.position[:2] for o in published])
+    covariance = np.array([o.pose_covariance[:2, :2] for o in published])
+    turn = truth.C_n_b @ np.swapaxes(nav["C_n_b"], 1, 2)
     return Flight(
-        nees=_squared(e, P) / 2.0,
+        nees=_squared(run.position[:, :2], P) / 2.0,
         inside=_squared(d, covariance) <= chi2.ppf(ELLIPSE, 2),
         error=np.hypot(d[:, 0], d[:, 1]),
         heading_deg=np.degrees(Rotation.from_matrix(turn).as_rotvec()[:, 2]),
     )
 
 
-def trajectory_from(trajectory: Trajectory, start: tuple[float, float, float]) -> Trajectory:
+def trajectory_from(case: Case) -> Trajectory:
     """The motion at its place on the Earth, which is `start` from the origin of odom."""
-    origin = OriginParameters(height=TRANSIT.h_0)
+    origin, start = _origin(case), case.start
     h_0 = origin.height
     lat_0 = math.radians(origin.latitude_deg)
-    return replace(trajectory, lat_0=latitude(lat_0, h_0, start[0]), h_0=h_0 - start[2])
+    return replace(case.trajectory, lat_0=latitude(lat_0, h_0, start[0]), h_0=h_0 - start[2])
 
 
 def _squared(e: Array, P: Array) -> Array:

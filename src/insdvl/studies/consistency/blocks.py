@@ -1,0 +1,67 @@
+"""Errors of all blocks of the state in a run, in units of what the filter says of them."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from insdvl.arrays import Array
+from insdvl.navigation.error_state import (
+    ACCELEROMETER_BIAS,
+    ATTITUDE,
+    GYROSCOPE_BIAS,
+    POSITION,
+    VELOCITY,
+)
+from insdvl.navigation.state import CORE
+from insdvl.studies.consistency.flights import Flown
+from insdvl.studies.evaluation.metrics import nees
+
+#: Blocks of the error state.
+BLOCKS: Mapping[str, slice] = MappingProxyType(
+    {
+        "velocity": VELOCITY,
+        "attitude": ATTITUDE,
+        "accelerometer bias": ACCELEROMETER_BIAS,
+        "gyroscope bias": GYROSCOPE_BIAS,
+        "position": POSITION,
+    }
+)
+#: Parts of the attitude, and all of the state with its correlations.
+OTHERS: Mapping[str, slice] = MappingProxyType(
+    {
+        "heading": slice(ATTITUDE.start + 2, ATTITUDE.stop),
+        "tilt": slice(ATTITUDE.start, ATTITUDE.start + 2),
+        "all": slice(0, CORE),
+    }
+)
+ALL: Mapping[str, slice] = MappingProxyType({**BLOCKS, **OTHERS})
+
+
+def degrees_of_freedom(block: str) -> int:
+    """Number of error states in a block."""
+    at = ALL[block]
+    return int(at.stop - at.start)
+
+
+def errors(run: Flown) -> Array:
+    """Exact error (K, 15) in the coordinates of the model: what `inject` would have to add."""
+    nav, truth = run.states["nav"], run.truth
+    turn = truth.C_n_b @ np.swapaxes(nav["C_n_b"], 1, 2)
+    v_n = nav["v_n"]
+    if run.filter.vehicle.invariant:
+        v_n = np.einsum("kij,kj->ki", turn, v_n)
+    out = np.empty((len(nav), CORE))
+    out[:, VELOCITY] = truth.v_n - v_n
+    out[:, ATTITUDE] = Rotation.from_matrix(turn).as_rotvec()
+    out[:, ACCELEROMETER_BIAS] = run.bias[:, :3] - nav["b_f"]
+    out[:, GYROSCOPE_BIAS] = run.bias[:, 3:] - nav["b_w"]
+    out[:, POSITION] = run.position
+    return out
+
+
+def squared(run: Flown) -> dict[str, Array]:
+    """NEES (K,) of each block, not divided by its degrees of freedom."""
+    e, P = errors(run), run.filter.covariance(run.states)
+    return {name: nees(e[:, at], P[:, at, at]) for name, at in ALL.items()}
