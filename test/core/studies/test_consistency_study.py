@@ -11,14 +11,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from scipy.stats import binom
 
 from insdvl.cli import main
+from insdvl.navigation import error_state
+from insdvl.navigation.error_state import POSITION
+from insdvl.navigation.events import Initial
+from insdvl.navigation.filter import Filter
 from insdvl.navigation.measurements.dvl import DvlParameters
+from insdvl.simulation.motion import Truth
 from insdvl.studies.consistency import position, sensitivity, table
-from insdvl.studies.consistency.blocks import ALL, BLOCKS, degrees_of_freedom, squared
+from insdvl.studies.consistency.blocks import ALL, BLOCKS, degrees_of_freedom, errors, squared
 from insdvl.studies.consistency.command import documents
-from insdvl.studies.consistency.flights import flown, parameters
+from insdvl.studies.consistency.flights import Flown, flown, parameters
 from insdvl.studies.consistency.mission import PATROL
 from insdvl.studies.consistency.page import STUDIES, consistency_page
 from insdvl.studies.consistency.study import seeds
@@ -79,6 +85,34 @@ def test_a_filter_that_is_told_too_little_noise_is_found_out() -> None:
         run = flown(case, seed, settings=replace(parameters(case), dvl=told))
         nees.append(np.mean(squared(run)["velocity"]) / degrees_of_freedom("velocity"))
     assert np.mean(nees) > band("velocity", RUNS, 1.0 - FALSE_ALARM / 100.0)[1]
+
+
+@pytest.mark.parametrize("form", ["invariant", "ned"])
+def test_errors_are_those_that_inject_adds(form: str) -> None:
+    """Exact for large errors too: the truth is a state into which they were injected."""
+    case = replace(SHORT[0].case(), error_state=form)
+    filter_ = Filter(parameters(case))
+    state = filter_.empty()
+    C_n_b = Rotation.from_rotvec([0.3, -0.5, 1.1]).as_matrix()
+    initial = Initial(0, C_n_b, np.array([40.0, -50.0, 11.0]), np.array([1.8, 0.1, -0.2]), "body")
+    filter_.initialise(state, initial, 0, np.zeros(3))
+    x = np.random.default_rng(SEED).uniform(-0.5, 0.5, 15)
+    x[POSITION] = 0.0  # its error is tested beside its coordinates
+    true = state.copy()
+    error_state.inject(true[0], filter_.constants[0], x)
+    nav, nothing = true["nav"], np.zeros((1, 3))
+    truth = Truth(
+        t=np.zeros(1),
+        p_n=nothing,
+        v_n=nav["v_n"],
+        a_n=nothing,
+        C_n_b=nav["C_n_b"],
+        f_b=nothing,
+        w_ib_b=nothing,
+        w_nb_b=nothing,
+    )
+    run = Flown(filter_, state, truth, np.hstack([nav["b_f"], nav["b_w"]]), nothing)
+    np.testing.assert_allclose(errors(run)[0], x, atol=1e-12)
 
 
 def test_runs_belong_to_their_row_and_number() -> None:
