@@ -3,7 +3,7 @@
 # make test-all     run all tests, the long ones included, 40 minutes
 # make test-jazzy   run all tests with the library versions of ROS 2 Jazzy; needs Python 3.12
 # make results      recompute docs/results.md, about an hour; ARGS="--recordings DIR --config FILE"
-# make consistency  recompute docs/results/consistency.md, about an hour; ARGS="--quick --out DIR"
+# make consistency  fly docs/results/consistency.md again, about 50 minutes on two quiet cores
 # make faults       fly the fault matrix of docs/reliability.md again, about half an hour
 # make soak         add an hour of mission to the soak there; ARGS="--hours 2"
 # make clean        remove what set-up and builds made

@@ -185,7 +185,8 @@ since a microsecond later it belongs to the next one. It has to be less than {li
 {largest:.1e}. Met: {met}.
 
 No depth has the stamp of a ping in these columns. The last one has such depths, and shows what it
-changes to use them before the pings: two corrections commute only as far as they are linear.
+changes to use them before the pings: two corrections commute only as far as they are linear, and a
+heading that nothing observes keeps the difference.
 """
 
 SENSITIVITY_STUDY = Study("sensitivity", Path(__file__), study_sensitivity, _section)
