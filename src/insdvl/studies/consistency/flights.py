@@ -13,10 +13,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from insdvl.arrays import Array
+from insdvl.arrays import Array, Records
 from insdvl.navigation.channels import ImuParameters
 from insdvl.navigation.error_state import HORIZONTAL_POSITION, attitude_error, position_error
 from insdvl.navigation.events import Event, Initial
+from insdvl.navigation.filter import Filter
 from insdvl.navigation.gate import GateParameters
 from insdvl.navigation.geometry.odom import place_of
 from insdvl.navigation.measurements.dvl import Dvl, DvlParameters
@@ -124,6 +125,23 @@ class Case:
 
 
 @dataclass(frozen=True)
+class Flown:
+    """Filter and truth at every full second (K,) of one run.
+
+    Attributes:
+        filter: The filter.
+        states: (K,) its states.
+        truth: The truth at their stamps.
+        bias: (K, 6) true biases, f, then w.
+    """
+
+    filter: Filter
+    states: Records
+    truth: Truth
+    bias: Array
+
+
+@dataclass(frozen=True)
 class Flight:
     """Errors at every full second (K,) of one run.
 
@@ -198,14 +216,14 @@ def counted_from(mission: Mission, origin: Array) -> Mission:
     return replace(mission, truth=truth, initial=initial)
 
 
-def fly(
+def flown(
     case: Case,
     seed: int,
     *,
     settings: FilterParameters | None = None,
     events: EventSource | None = None,
-) -> Flight:
-    """One run of a case.
+) -> Flown:
+    """One run of a case, flown by the filter.
 
     Args:
         case: What is flown.
@@ -236,18 +254,29 @@ def fly(
     )
     second = round(RATE)
     at = slice(second - 1, None, second)
-    states = result.states[at].copy()
-    truth, nav = mission.truth, states["nav"]
-    e = position_error(
-        nav, truth.C_n_b[at], truth.llh[at], invariant=case.error_state == "invariant"
-    )[:, :2]
-    P = nav["P"][:, HORIZONTAL_POSITION, HORIZONTAL_POSITION]
-    published = [odometry(result.filter, states, k) for k in range(len(states))]
-    d = truth.p_o[at, :2] - np.array([o.position[:2] for o in published])
-    covariance = np.array([o.pose_covariance[:2, :2] for o in published])
-    psi = attitude_error(nav, truth.C_n_b[at], invariant=case.error_state == "invariant")
+    states, filter_ = result.states[at].copy(), result.filter
+    truth = Truth(**{name: array[at] for name, array in vars(mission.truth).items()})
     del result
-    gc.collect()  # a fold refers to itself, and its records take 0.4 GB
+    gc.collect()  # a fold refers to itself, and its records take 0.3 MB per second
+    return Flown(filter_, states, truth, mission.bias[at])
+
+
+def fly(
+    case: Case,
+    seed: int,
+    *,
+    settings: FilterParameters | None = None,
+    events: EventSource | None = None,
+) -> Flight:
+    """Errors of the position in one run of a case; the arguments are those of `flown`."""
+    run = flown(case, seed, settings=settings, events=events)
+    truth, nav, invariant = run.truth, run.states["nav"], run.filter.vehicle.invariant
+    e = position_error(nav, truth.C_n_b, truth.llh, invariant=invariant)[:, :2]
+    psi = attitude_error(nav, truth.C_n_b, invariant=invariant)
+    P = nav["P"][:, HORIZONTAL_POSITION, HORIZONTAL_POSITION]
+    published = [odometry(run.filter, run.states, k) for k in range(len(run.states))]
+    d = truth.p_o[:, :2] - np.array([o.position[:2] for o in published])
+    covariance = np.array([o.pose_covariance[:2, :2] for o in published])
     return Flight(
         nees=_squared(e, P) / 2.0,
         inside=_squared(d, covariance) <= chi2.ppf(ELLIPSE, 2),
