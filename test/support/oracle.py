@@ -276,18 +276,31 @@ def van_loan(dynamics, noise, dt):
     return Phi, Phi @ result[:n, n:]
 
 
-def rate_at(stamps_ns, samples, end_ns, length_ns):
-    """A line through the samples of a window, at its end, and the variance of that for one of 1.
+def rate_at(stamps_ns, samples, end_ns, length_ns, variance):
+    """A line through the samples of a window, at its end, and the variance of its error.
 
-    Each sample is constant over the interval before its stamp and stands for its middle.
+    Each sample is constant over the interval before its stamp and stands for its middle. The slope
+    is zero +- 0.1 rad/s^2 before they are seen, which is one more equation.
+
+    Args:
+        variance: (3,) of one sample.
+
+    Returns:
+        The rate (3,), and the variance (3,) of its error in units of that of one sample.
     """
     begins, ends = (stamps_ns[:-1] - end_ns) / NS, (stamps_ns[1:] - end_ns) / NS
     shares = np.minimum(ends, 0.0) - np.maximum(begins, -length_ns / NS)
     inside = shares > 0.0
+    w, t, m = samples[1:][inside], (begins + ends)[inside] / 2, inside.sum()
     root = np.sqrt(shares[inside])
-    design = np.column_stack([np.ones(inside.sum()), (begins + ends)[inside] / 2])
-    weights = np.linalg.pinv(root[:, None] * design)[0] * root
-    return weights @ samples[1:][inside], weights @ weights
+    rates, errors = np.empty(3), np.empty(3)
+    for i, q in enumerate(variance):
+        design = np.vstack([root[:, None] * np.column_stack([np.ones(m), t]), np.zeros(2)])
+        design[m, 1] = np.sqrt(shares[inside].mean() * q) / 0.1
+        weights = np.linalg.pinv(design)[0, :m] * root
+        rates[i] = weights @ w[:, i]
+        errors[i] = weights @ weights + (0.1 * (weights @ t)) ** 2 / q
+    return rates, errors
 
 
 def run(dense, stamps_ns, f_b, w_ib_b, events, window_ns, density, rate):
@@ -309,8 +322,10 @@ def run(dense, stamps_ns, f_b, w_ib_b, events, window_ns, density, rate):
             if kind == "Q":
                 Q_f, Q_w = first, second
             else:
-                w, variance = rate_at(stamps_ns, w_ib_b, stamp, window_ns)
-                reports.append(dense.update(first, second, w, Q_w * density * rate * variance))
+                Q = Q_w * density * rate
+                w, errors = rate_at(stamps_ns, w_ib_b, stamp, window_ns, np.diag(Q))
+                Q = Q * np.sqrt(np.outer(errors, errors))
+                reports.append(dense.update(first, second, w, Q))
 
     def step(to_ns, k):
         nonlocal time_ns

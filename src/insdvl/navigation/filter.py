@@ -371,8 +371,12 @@ class Filter:
         """Time before a measurement that its turn rate is taken from; 0 takes one sample."""
         return self.models[event.name].turn_window_ns
 
+    def sample_variance(self, state: Records) -> Array:
+        """Variance (3,) of one sample of the angular rate [(rad/s)^2], base_link axes."""
+        return np.diag(start.sample_variance_w(state[0], self.vehicle)).copy()
+
     def update(
-        self, state: Records, event: Measurement, w_ib_b: Array, variance: float
+        self, state: Records, event: Measurement, w_ib_b: Array, share: Array | float
     ) -> UpdateReport:
         """Correct the state, which must be at the measurement's stamp.
 
@@ -380,7 +384,7 @@ class Filter:
             state: (1,) record.
             event: The measurement.
             w_ib_b: (3,) angular rate at the stamp [rad/s], base_link axes.
-            variance: Its variance, in units of that of one sample.
+            share: (3,) its variance, in units of that of one sample.
         """
         s, model, gate = state[0], self.models[event.name], self._gates[event.name]
         memory, stamp_ns = s["gate"][event.name], event.stamp_ns
@@ -391,7 +395,7 @@ class Filter:
         if reason:
             nan = np.full((model.rows, model.rows), np.nan)
             return UpdateReport(event.name, nan[0], nan, np.nan, False, reason)
-        turn = self._turn(s, w_ib_b, variance)
+        turn = self._turn(s, w_ib_b, share)
         linearised = model.linearise(state, event, turn)
         R = gate.doubted(s, stamp_ns, linearised.R)
         now = kalman.innovate(s["nav"]["P"], linearised.z_minus_h, linearised.H, R)
@@ -436,9 +440,9 @@ class Filter:
     def _report(event: Measurement, now: Innovated, accepted: bool, reason: str) -> UpdateReport:
         return UpdateReport(event.name, now.innovation, now.S, now.nis, accepted, reason)
 
-    def _turn(self, s: State, w_ib_b: Array, variance: float) -> Turn:
+    def _turn(self, s: State, w_ib_b: Array, share: Array | float) -> Turn:
         """The turn rate at a measurement, and what is not known of it."""
-        covariance = start.sample_variance_w(s, self.vehicle) * variance
+        covariance = start.sample_variance_w(s, self.vehicle) * np.sqrt(np.outer(share, share))
         if channels.in_doubt(s):
             w_ib_b, unseen = channels.seen_rate(s, self.constants[0], w_ib_b)
             covariance = covariance + unseen

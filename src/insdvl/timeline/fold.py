@@ -358,12 +358,14 @@ class Fold:
         self._apply_kind.get(kind, self._apply_measurement)(state, e, k)
 
     def _apply_measurement(self, state: Records, e: int, k: int) -> None:
-        entry, samples, rate = self._entries.ordered[e], self._samples, np.empty(3)
+        entry, samples = self._entries.ordered[e], self._samples
+        rate, share = np.empty(3), np.empty(3)
         event = entry.event
         assert isinstance(event, Measurement)
-        window_ns = self.filter.turn_window_ns(event)
-        variance = rate_at(samples.stamps_ns, samples.w_ib_b, k, event.stamp_ns, window_ns, rate)
-        entry.report = self.filter.update(state, event, rate, variance)
+        times = k, event.stamp_ns, self.filter.turn_window_ns(event)
+        variance = self.filter.sample_variance(state)
+        rate_at(samples.stamps_ns, samples.w_ib_b, *times, variance, rate, share)
+        entry.report = self.filter.update(state, event, rate, share)
 
     def _apply_process_noise(self, state: Records, e: int, k: int) -> None:
         event = self._entries.ordered[e].event

@@ -29,7 +29,7 @@ from insdvl.simulation.trajectories import AUV
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.output import AppliedUpdate, FoldResult
 from insdvl.timeline.recorded import fold_arrays
-from insdvl.timeline.samples import rate_at
+from insdvl.timeline.samples import TURN_ACCELERATION, rate_at
 
 SEED = 57_721
 STEP = 10_000_000
@@ -776,41 +776,51 @@ def test_the_turn_rate_is_that_of_a_line_at_the_stamp() -> None:
     middles = 1e-9 * (stamps + np.concatenate([[0], stamps[:-1]])) / 2
     for stamp_ns in (42_000_000, 45_000_000, 50_000_000):
         w = at + (middles[:, None] - 1e-9 * stamp_ns) * slope
-        found = np.empty(3)
-        assert 1.0 < rate_at(stamps, w, 4, stamp_ns, 30_000_000, found) < 5.0
+        found, share = np.empty(3), np.empty(3)
+        rate_at(stamps, w, 4, stamp_ns, 30_000_000, np.zeros(3), found, share)
+        assert ((share > 1.0) & (share < 5.0)).all()
         np.testing.assert_allclose(found, at, rtol=1e-12)
 
 
 def test_the_line_weights_each_sample_by_its_share_of_the_window() -> None:
     stamps = np.array([0, 10, 20, 40, 50], dtype=np.int64)
     w = np.random.default_rng(SEED).standard_normal((5, 3))
-    found = np.empty(3)
+    found, share = np.empty(3), np.empty(3)
     # (15, 45]: half of sample 2, all of sample 3, half of sample 4.
-    variance = rate_at(stamps, w, 4, 45, 30, found)
+    rate_at(stamps, w, 4, 45, 30, np.zeros(3), found, share)
     line = np.polyfit([15 - 45, 30 - 45, 45 - 45], w[2:5], 1, w=np.sqrt([5, 20, 5]))
     np.testing.assert_allclose(found, line[1], rtol=1e-12)
     units = np.polyfit([15 - 45, 30 - 45, 45 - 45], np.eye(3), 1, w=np.sqrt([5, 20, 5]))[1]
-    assert variance == pytest.approx(units @ units, rel=1e-12)
+    np.testing.assert_allclose(share, units @ units, rtol=1e-12)
 
 
-def test_the_variance_of_the_turn_rate_is_that_of_the_end_of_the_line() -> None:
-    """About 4 / N, four times that of the mean."""
+@pytest.mark.parametrize(
+    ("q", "least", "most"), [(1e-8, 3.5, 4.1), (1e-3, 1.2, 3.0), (0.1, 1, 1.1)]
+)
+def test_the_variance_of_the_turn_rate_is_that_of_its_error(
+    q: float, least: float, most: float
+) -> None:
+    """Of N = 25 samples: 4 / N where the gyroscope is quiet, 1 / N where it is noisy."""
     rng = np.random.default_rng([SEED, 13])
-    stamps, found = np.arange(26, dtype=np.int64) * 10, np.empty(3)
-    rates, variance = [], 0.0
+    stamps = np.arange(26, dtype=np.int64) * STEP
+    found, share, errors = np.empty(3), np.empty(3), []
+    middles = (stamps - STEP / 2 - stamps[-1]) / NS
     for _ in range(20_000):
-        variance = rate_at(stamps, rng.standard_normal((26, 3)), 25, 250, 250, found)
-        rates.append(found.copy())
-    assert variance == pytest.approx(4.0 / 25.0, rel=0.1)
-    assert np.var(rates) == pytest.approx(variance, rel=0.03)
+        w = np.sqrt(q) * rng.standard_normal((26, 3))
+        w += np.outer(middles, TURN_ACCELERATION * rng.standard_normal(3))
+        rate_at(stamps, w, 25, int(stamps[-1]), 25 * STEP, np.full(3, q), found, share)
+        errors.append(found.copy())
+    np.testing.assert_allclose(np.mean(np.square(errors), axis=0), q * share, rtol=0.05)
+    assert ((share > least / 25) & (share < most / 25)).all()
 
 
 def test_one_sample_in_the_window_is_the_turn_rate() -> None:
     stamps = np.array([0, 10, 20, 40, 50], dtype=np.int64)
-    w, found = np.arange(15.0).reshape(5, 3), np.empty(3)
+    w, found, share = np.arange(15.0).reshape(5, 3), np.empty(3), np.empty(3)
     # Before the second sample nothing is known of an interval's length.
     for k, stamp, window in ((3, 40, 20), (2, 15, 0), (0, 0, 30), (1, 10, 30)):
-        assert rate_at(stamps, w, k, stamp, window, found) == 1.0
+        rate_at(stamps, w, k, stamp, window, np.ones(3), found, share)
+        np.testing.assert_array_equal(share, 1.0)
         np.testing.assert_array_equal(found, w[k])
 
 
@@ -818,7 +828,7 @@ def test_an_update_uses_the_turn_rate_and_its_noise() -> None:
     """The innovation has w x l of the line at the stamp; S is smaller for the longer window."""
     rng = np.random.default_rng([SEED, 12])
     rates = rng.standard_normal((100, 3))
-    S, variances = [], []
+    S, variances, q = [], [], 0.001
     for window, samples in ((0.0, 1), (0.1, 10), (0.25, 25)):
         arm = np.array([2.0, 1.0, -1.0])
         settings = replace(
@@ -832,14 +842,17 @@ def test_an_update_uses_the_turn_rate_and_its_noise() -> None:
         v_d = np.array([0.1, 0.2, -0.3])
         result = offline(settings, [*events, Dvl(START + 99 * STEP, v_d)])
         before = offline(settings, list(events)).states[-1]
-        middles = np.arange(samples) - samples + 0.5
-        degree = min(samples - 1, 1)
-        rate = 1e-3 * np.polyfit(middles, rates[100 - samples :], degree)[-1]
+        # A line with the slope 0 +- TURN_ACCELERATION, in units of the noise of a sample.
+        t = (np.arange(samples) - samples + 0.5) * STEP / NS
+        design = np.vstack([np.column_stack([np.ones(samples), t]), np.zeros(2)])
+        design[-1, 1] = np.sqrt(q) / TURN_ACCELERATION
+        N = np.linalg.inv(design.T @ design) if samples > 1 else np.diag([1.0, 0.0])
+        rate = 1e-3 * (N @ design[:-1].T @ rates[100 - samples :])[0]
         h = before["nav"]["C_n_b"].T @ before["nav"]["v_n"] + np.cross(rate, arm)
         report = result.updates[0].report
         np.testing.assert_allclose(report.innovation, v_d - h, rtol=1e-9, atol=1e-12)
         S.append(np.trace(report.S))
-        variances.append(np.sum(np.polyfit(middles, np.eye(samples), degree)[-1] ** 2))
-    arm_noise = 2 * (arm @ arm) * 0.001
+        variances.append(N[0, 0])
+    arm_noise = 2 * (arm @ arm) * q
     assert variances[0] > variances[1] > variances[2]
     np.testing.assert_allclose(-np.diff(S), -np.diff(variances) * arm_noise, rtol=1e-6)
