@@ -32,3 +32,4 @@ def apply_it_after_every_update(monkeypatch: pytest.MonkeyPatch) -> None:
         P[:n, :n] = G @ P[:n, :n] @ G.T
 
     monkeypatch.setattr(kalman, "_correct", with_reset)
+    monkeypatch.setattr(kalman, "_PRODUCT", np.inf)  # every update is the linear one

@@ -133,6 +133,11 @@ class FilterParameters:
                 f"parameter 'imu.acceleration_range' must be 0 or more than gravity ({_GRAVITY} "
                 f"m/s^2), got {self.imu.acceleration_range!r}: it would be saturated at rest"
             )
+        if self.initial.mode == "gyrocompassing" and not self.earth_rate:
+            raise ParameterError(
+                "parameter 'initial.mode' must not be 'gyrocompassing' where earth_rate is false: "
+                "it finds the heading from the rotation of the Earth"
+            )
         check_frames(self.odom_frame, self.base_frame)
         self._check_start()
         self._check_limits()

@@ -1,16 +1,19 @@
-"""How the state starts: where the origin is, the initial state, its covariance P0, levelling."""
+"""How the state starts: where the origin is, the initial state, its covariance P0, levelling.
+
+What a vehicle at rest tells of its heading is in gyrocompass.py.
+"""
 
 import math
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from insdvl.arrays import Array, Records
 from insdvl.files import shown
 from insdvl.kernels import kernel
-from insdvl.navigation import channels, error_state, strapdown
+from insdvl.navigation import channels, error_state, gyrocompass, strapdown
 from insdvl.navigation.error_state import (
     ACCELEROMETER_BIAS,
     ATTITUDE,
@@ -29,6 +32,10 @@ from insdvl.parameters.declaration import ParameterError, parameter
 
 #: What the mean specific force at rest may differ from gravity, as a fraction of it.
 LEVEL_TOLERANCE = 0.05
+#: Least number of levellings in a gyrocompassing: they are compared, to see whether it moves.
+_LEAST_BLOCKS = 10
+#: Both biases, as neighbours.
+_BIASES = slice(ACCELEROMETER_BIAS.start, GYROSCOPE_BIAS.stop)
 
 #: A topic's name as ROS 2 takes it.
 _TOPIC = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
@@ -54,12 +61,20 @@ class InitialParameters:
         "parameters",
         "How the filter starts: from these values at the first IMU stamp (parameters); from the "
         "first message on initial.topic (topic); with roll and pitch from the accelerometer at "
-        "rest (levelling); on set_odometry only.",
-        choices=("parameters", "topic", "levelling", "set_odometry"),
+        "rest (levelling), and with the heading from the Earth's rotation where gyroscope and rest "
+        "allow it (gyrocompassing); on set_odometry only.",
+        choices=("parameters", "topic", "levelling", "gyrocompassing", "set_odometry"),
     )
     topic: str = parameter("ground_truth/odometry", "Odometry topic for the mode 'topic'.")
     levelling_time: float = parameter(
         1.0, "Duration over which 'levelling' averages the specific force.", unit="s", above=0.0
+    )
+    gyrocompass_time: float = parameter(
+        60.0,
+        "Duration over which 'gyrocompassing' averages specific force and angular rate; at least "
+        "ten times levelling_time.",
+        unit="s",
+        above=0.0,
     )
     position: tuple[float, ...] = parameter(
         (0.0, 0.0, 0.0),
@@ -71,7 +86,8 @@ class InitialParameters:
     )
     rpy: tuple[float, ...] = parameter(
         (0.0, 0.0, 0.0),
-        "Roll, pitch, yaw of base_link in odom; 'levelling' uses the yaw only.",
+        "Roll, pitch, yaw of base_link in odom; 'levelling' uses the yaw only, 'gyrocompassing' "
+        "that where it finds none.",
         unit="rad",
         low=-2 * math.pi,
         high=2 * math.pi,
@@ -96,7 +112,10 @@ class InitialParameters:
         math.radians(0.5), "One sigma of roll and pitch.", unit="rad", low=0.0
     )
     heading_std: float = parameter(
-        math.radians(1.0), "One sigma of the heading.", unit="rad", low=0.0
+        math.radians(1.0),
+        "One sigma of the heading; 'gyrocompassing' is used where its own is smaller.",
+        unit="rad",
+        low=0.0,
     )
     accelerometer_bias_std: float = parameter(
         1e-3, "One sigma of each axis.", unit="m/s^2", low=0.0
@@ -114,6 +133,12 @@ class InitialParameters:
             raise ParameterError(
                 "parameter 'initial.topic' must be a topic that is none of "
                 f"{', '.join(_NO_INITIAL_TOPIC)}, got {shown(self.topic)}"
+            )
+        least = _LEAST_BLOCKS * self.levelling_time
+        if self.mode == "gyrocompassing" and self.gyrocompass_time < least:
+            raise ParameterError(
+                f"parameter 'initial.gyrocompass_time' must be at least {_LEAST_BLOCKS} times "
+                f"initial.levelling_time ({least:g} s), got {self.gyrocompass_time!r}"
             )
 
 
@@ -173,7 +198,7 @@ def sample_variance_w(s: State, vehicle: Vehicle) -> Array:
 
 
 class Start:
-    """Starts a state: on an initial state, from the parameters, or by levelling.
+    """Starts a state: on an initial state, from the parameters, by levelling or gyrocompassing.
 
     Args:
         parameters: Of the initial state.
@@ -193,6 +218,7 @@ class Start:
         self._origin = origin
         self._vehicle = vehicle
         self._blocks = tuple(blocks)
+        self._plan = gyrocompass.Plan(parameters.gyrocompass_time, parameters.heading_std)
         axes = vehicle.axes
         in_body = parameters.velocity_frame == "body"
         self._initial = Initial(
@@ -225,6 +251,18 @@ class Start:
         Returns:
             Whether the state is initialised now.
         """
+        state[0]["start"]["compass"] = gyrocompass.UNDECIDED
+        return self._begin(state, initial, stamp_ns, w_ib_b, None)
+
+    def _begin(
+        self,
+        state: Records,
+        initial: Initial,
+        stamp_ns: int,
+        w_ib_b: Array,
+        rest: gyrocompass.Rest | None,
+    ) -> bool:
+        """See `initialise`; what was found at rest takes the place of the initial attitude."""
         s, vehicle, parameters = state[0], self._vehicle, self._parameters
         nav, imu = s["nav"], s["channels"]
         if np.isnan(nav["lat_0"]):
@@ -237,7 +275,7 @@ class Start:
             return False
         J, turn = odom.jacobian(place, origin)
         to_n, J_inverse = turn.T, np.linalg.inv(J)
-        C, l_b = to_n @ initial.C_o_b, vehicle.l_b_imu
+        C, l_b = to_n @ initial.C_o_b if rest is None else rest.C_n_b, vehicle.l_b_imu
         in_body = initial.velocity_frame == "body"
         nav["b_f"] = self._bias(parameters.accelerometer_bias)
         nav["b_w"] = self._bias(parameters.gyroscope_bias)
@@ -258,9 +296,11 @@ class Start:
         P_psi = initial.P_psi
         if P_psi is None:
             P_psi = np.diag(np.square(parameters.attitude_std))
-        P[ATTITUDE, ATTITUDE] = to_n @ P_psi @ to_n.T
+        P[ATTITUDE, ATTITUDE] = to_n @ P_psi @ to_n.T if rest is None else rest.P_psi
         P[ACCELEROMETER_BIAS, ACCELEROMETER_BIAS] = np.eye(3) * parameters.accelerometer_bias_std**2
         P[GYROSCOPE_BIAS, GYROSCOPE_BIAS] = np.eye(3) * parameters.gyroscope_bias_std**2
+        if rest is not None:
+            P[ATTITUDE, _BIASES], P[_BIASES, ATTITUDE] = rest.P_psi_b, rest.P_psi_b.T
         P_p = _or_isotropic(initial.P_p, parameters.position_std)
         P[POSITION, POSITION] = J_inverse @ P_p @ J_inverse.T
         for block in self._blocks:
@@ -316,52 +356,79 @@ class Start:
         if not np.isnan(s["nav"]["lat_0"]):
             if mode == "parameters":
                 started = self.initialise(state, self._initial, sample.stamp_ns, sample.w_ib_b)
-            elif mode == "levelling":
+            elif mode in ("levelling", "gyrocompassing"):
                 started = self._level(state, sample)
         s["channels"]["imu_ns"] = s["nav"]["time_ns"] = sample.stamp_ns
         return started
 
     def _level(self, state: Records, sample: Imu) -> bool:
-        """Collect the specific force at rest, f_b = -C_b_n g_n, then start from its direction.
+        """Collect the samples of a block at rest, f_b = -C_b_n g_n, then start from its direction.
 
-        It restarts behind a gap, and where the mean differs from gravity.
+        It restarts behind a gap, and where the mean differs from gravity. Gyrocompassing goes on
+        over many blocks.
         """
-        s, vehicle = state[0], self._vehicle
+        s, vehicle, parameters = state[0], self._vehicle, self._parameters
         start, nav = s["start"], s["nav"]
         since_ns = sample.stamp_ns - s["channels"]["imu_ns"]
-        if start["level_count"] and since_ns > vehicle.constants[0]["gap_ns"]:
+        if start["level_count"] + start["rest_count"] and since_ns > vehicle.constants[0]["gap_ns"]:
+            if start["rest_count"]:
+                start["compass"] = gyrocompass.GAP
             self._restart_levelling(s)
         if start["level_count"] == 0:
             start["level_ns"] = sample.stamp_ns
         start["level_f"] += sample.f_b
+        start["level_w"] += sample.w_ib_b
         start["level_count"] += 1
-        duration = round(self._parameters.levelling_time * NS)
+        duration = round(parameters.levelling_time * NS)
         if sample.stamp_ns - start["level_ns"] < duration:
             return False
-        f_b = start["level_f"] / start["level_count"] - self._bias(
-            self._parameters.accelerometer_bias
-        )
+        count = int(start["level_count"])
+        f_b = start["level_f"] / count - self._bias(parameters.accelerometer_bias)
+        w_ib_b = start["level_w"] / count - self._bias(parameters.gyroscope_bias)
         g = gravity(nav["lat_0"], nav["h_0"])
         if abs(np.hypot.reduce(f_b) - g) > LEVEL_TOLERANCE * g:  # cannot overflow
             self._restart_levelling(s)
             return False
-        roll = np.arctan2(-f_b[1], -f_b[2])
-        pitch = np.arctan2(f_b[0], np.hypot(f_b[1], f_b[2]))
+        undecided = start["compass"] == gyrocompass.UNDECIDED
+        if parameters.mode == "gyrocompassing" and undecided:
+            noise, mean = self._noise(s), np.concatenate([f_b, w_ib_b])
+            gyrocompass.see_block(s, mean, count, noise, self._plan, sample.stamp_ns)
+            if start["compass"] == gyrocompass.FOUND:
+                rest = gyrocompass.at_rest(s, noise)
+                return self._begin(state, self._initial, sample.stamp_ns, sample.w_ib_b, rest)
+            if start["compass"] == gyrocompass.UNDECIDED:
+                self._clear_block(s)
+                return False
         C = self._initial.C_o_b
-        heading = np.arctan2(C[1, 0], C[0, 0])
-        initial = Initial(
-            stamp_ns=sample.stamp_ns,
-            C_o_b=rotation_from_rpy(np.array([roll, pitch, heading])),
-            p_o=self._initial.p_o,
-            v=self._initial.v,
-            velocity_frame=self._initial.velocity_frame,
+        rpy = np.array([*gyrocompass.level(f_b), np.arctan2(C[1, 0], C[0, 0])])
+        initial = replace(self._initial, C_o_b=rotation_from_rpy(rpy))
+        return self._begin(state, initial, sample.stamp_ns, sample.w_ib_b, None)
+
+    def _noise(self, s: State) -> gyrocompass.Noise:
+        """What is told of the IMU now."""
+        c, parameters = self._vehicle.constants[0], self._parameters
+        per_sample = c["density"] * c["rate"]
+        return gyrocompass.Noise(
+            f=s["noise"]["Q_f"] * per_sample,
+            w=sample_variance_w(s, self._vehicle),
+            walk_f=float(c["eps_f"]),
+            walk_w=float(c["eps_w"]),
+            bias_f=parameters.accelerometer_bias_std,
+            bias_w=parameters.gyroscope_bias_std,
+            rate=float(c["rate"]),
         )
-        return self.initialise(state, initial, sample.stamp_ns, sample.w_ib_b)
+
+    def _restart_levelling(self, s: State) -> None:
+        self._clear_block(s)
+        start = s["start"]
+        start["rest_sum"], start["rest_nis"] = 0.0, 0.0
+        start["rest_count"], start["rest_blocks"] = 0, 0
+        s["counters"]["not_level"] += 1
 
     @staticmethod
-    def _restart_levelling(s: State) -> None:
-        s["start"]["level_f"], s["start"]["level_count"] = 0.0, 0
-        s["counters"]["not_level"] += 1
+    def _clear_block(s: State) -> None:
+        start = s["start"]
+        start["level_f"], start["level_w"], start["level_count"] = 0.0, 0.0, 0
 
 
 def _or_isotropic(P: Array | None, std: float) -> Array:

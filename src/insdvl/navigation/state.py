@@ -136,10 +136,21 @@ _CHANNELS = (
 )
 
 _START = (
-    # Levelling: sum of the specific force, number of samples, stamp of the first
+    # Levelling: sums of specific force and angular rate, number of samples, stamp of the first
     Field("level_f", NUMBER, (3,)),
+    Field("level_w", NUMBER, (3,)),
     Field("level_count", COUNT),
     Field("level_ns", STAMP),
+    # Gyrocompassing, over many levellings: sum of both, number of samples, stamp of the first,
+    # number of comparisons of a block with those before it, and sum of their squared misfits
+    Field("rest_sum", NUMBER, (6,)),
+    Field("rest_count", COUNT),
+    Field("rest_ns", STAMP),
+    Field("rest_blocks", COUNT),
+    Field("rest_nis", NUMBER),
+    # What has become of it, and the number that led to it, see gyrocompass.py
+    Field("compass", COUNT),
+    Field("compass_number", NUMBER),
 )
 
 _COUNTERS = (

@@ -27,6 +27,7 @@ from insdvl.studies.evaluation.metrics import (
 from insdvl.studies.replay.fold import Replayed
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.output import FoldResult
+from insdvl.watch.heading_at_start import heading_at_start
 
 DVL = Dvl.name
 LAGS = 10  # of the autocorrelation
@@ -172,6 +173,8 @@ def report(recording: Sequence[Raw], replayed: Replayed) -> dict[str, Any]:
     known = replayed.initialised
     times_ns = fold.states["nav"]["time_ns"][known]
     document = errors_of(fold, *truth_of(recording))
+    initial = fold.filter.parameters.initial
+    heading = heading_at_start(fold.states[-1], initial) if known.size else None
     for name in dict.fromkeys(replayed.measurements.values()):
         document |= _updates_of(name, replayed)
     return document | {
@@ -184,4 +187,5 @@ def report(recording: Sequence[Raw], replayed: Replayed) -> dict[str, Any]:
         "counts": fold.counts,
         "rejected": {str(key): count for key, count in replayed.refused.items()},
         "frames": replayed.findings,
+        "start": heading[1] if heading else None,
     }
