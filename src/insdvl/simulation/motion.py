@@ -261,7 +261,8 @@ class Trajectory:
         height = _integral(-down, x, w)
         h, lat = self.h_0 + height @ values, np.full(t.shape, self.lat_0)
         for _ in range(_PICARD):
-            latitude = _integral(north / (radii(lat)[0] + h), x, w)
+            R_N, R_E = radii(lat)  # type: ignore[arg-type]
+            latitude = _integral(north / (R_N + h), x, w)
             before, lat = lat, self.lat_0 + latitude @ values
             if np.abs(lat - before).max() < _LATITUDE_STEP:
                 break
@@ -269,7 +270,7 @@ class Trajectory:
             raise ValueError("the trajectory goes too far for its latitude to converge")
         if np.abs(lat).max() > MAX_LATITUDE:
             raise ValueError(f"the trajectory goes beyond {MAX_LATITUDE_DEG:g} deg of latitude")
-        longitude = _integral(east / ((radii(lat)[1] + h) * np.cos(lat)), x, w)
+        longitude = _integral(east / ((R_E + h) * np.cos(lat)), x, w)
         return np.ascontiguousarray(np.stack([latitude, longitude, height], axis=2))
 
 
@@ -286,7 +287,7 @@ def _integral(rate: Array, x: Array, w: Array) -> Array:
     table = legendre.legint(rate @ projection, lbnd=-1.0, scl=_SEGMENT / 2.0, axis=1)
     lengths = table.sum(axis=1)  # P_k(1) = 1: the change over each segment
     table[1:, 0] += np.cumsum(lengths[:-1])
-    return table
+    return np.asarray(table, dtype=np.float64)
 
 
 @kernel
