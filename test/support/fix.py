@@ -6,7 +6,7 @@ import numpy as np
 from places import place
 
 from insdvl.arrays import Array, Records
-from insdvl.navigation import error_state
+from insdvl.navigation import coordinates
 from insdvl.navigation.error_state import ATTITUDE, POSITION
 from insdvl.navigation.events import MAX_DISTANCE, Limits, Measurement
 from insdvl.navigation.geometry.earth import displacements
@@ -64,7 +64,7 @@ class FixModel(SensorModel[Fix]):
         z_minus_h = displacements(nav["llh"], place(nav, event.p_o))
         H = np.zeros((3, self._vehicle.n))
         H[:, POSITION] = np.eye(3)
-        H[:, ATTITUDE] = -error_state.turns_position(state[0], invariant=self._vehicle.invariant)
+        H[:, ATTITUDE] = -coordinates.turns_position(state[0], invariant=self._vehicle.invariant)
         return Linearised(z_minus_h, H, np.eye(3) * event.std**2)
 
     def drift(self, s: State, seconds: float) -> Array:

@@ -213,6 +213,15 @@ class DenseFilter:
         self.seconds += dt
         return density
 
+    def tilt_times_velocity(self):
+        """Mean (3,) and covariance (3, 3) of t x dv."""
+        keep = np.diag([1.0, 1.0, 0.0])
+        tt, tv, vv = keep @ self.P[A, A] @ keep, keep @ self.P[A, V], self.P[V, V]
+        e = np.array([skew(unit) for unit in I3]).transpose(1, 0, 2)  # the permutation symbol
+        mean = np.einsum("ijk,jk", e, tv)
+        moments = np.einsum("jm,kn->jkmn", tt, vv) + np.einsum("jn,mk->jkmn", tv, tv)
+        return mean, np.einsum("ijk,lmn,jkmn", e, e, moments)
+
     def update(self, v_d, R, w_ib_b, Q_w_there):
         """Correct with a DVL velocity.
 
@@ -243,10 +252,23 @@ class DenseFilter:
         nis = nu @ np.linalg.solve(S, nu)
         if nis > chi2.ppf(self.gate_probability, 3):
             return nu, S, nis, False
-        K = np.linalg.solve(S, H @ self.P).T
+        left = nu
+        if self.invariant:
+            mean, product = self.tilt_times_velocity()
+            if np.trace(H[:, V] @ product @ H[:, V].T) > 1e-3 * np.trace(R):
+                self.P[V, V] += product
+                left = nu + H[:, V] @ mean
+            else:
+                mean = None
+        K = np.linalg.solve(H @ self.P @ H.T + R, H @ self.P).T
         keep = np.eye(self.n) - K @ H
         self.P = keep @ self.P @ keep.T + K @ R @ K.T
-        x = K @ nu
+        x = K @ left
+        if self.invariant and mean is not None:
+            turn = np.eye(self.n)
+            turn[V, V] = exp(np.array([x[3], x[4], 0.0]))
+            x[V] = turn[V, V] @ (x[V] - mean)
+            self.P = turn @ self.P @ turn.T
         if self.invariant:
             down = np.array([0.0, 0.0, 1.0])
             heading, tilt = exp(x[5] * down), exp(x[A] - x[5] * down)

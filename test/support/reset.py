@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from insdvl.navigation import kalman
-from insdvl.navigation.error_state import ATTITUDE, VELOCITY, cross_matrix
+from insdvl.navigation.error_state import ATTITUDE, VELOCITY
+from insdvl.navigation.geometry.rotation import cross_matrix
 
 
 def reset_jacobian(dx: np.ndarray, *, invariant: bool) -> np.ndarray:

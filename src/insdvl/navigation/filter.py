@@ -11,7 +11,7 @@ import numpy as np
 
 from insdvl.arrays import Array, Records, Stamps
 from insdvl.kernels import kernel
-from insdvl.navigation import channels, error_state, kalman, start, strapdown
+from insdvl.navigation import channels, coordinates, error_state, kalman, strapdown
 from insdvl.navigation.error_state import ACCELEROMETER_BIAS, HORIZONTAL_POSITION, POSITION
 from insdvl.navigation.events import NS, Imu, Initial, Measurement, Origin, ProcessNoise
 from insdvl.navigation.gate import Gate
@@ -21,6 +21,7 @@ from insdvl.navigation.kalman import Innovated
 from insdvl.navigation.measurements.base import SensorModel, Turn, Vehicle
 from insdvl.navigation.parameters import SENSORS, FilterParameters
 from insdvl.navigation.process_noise import source_of
+from insdvl.navigation.start.initial_state import Start, locate, sample_variance_w
 from insdvl.navigation.state import (
     CORE,
     NEVER,
@@ -249,7 +250,7 @@ class Filter:
             constants=self.constants,
             workspace=self._workspace,
         )
-        self._start = start.Start(parameters.initial, parameters.origin, self.vehicle, blocks)
+        self._start = Start(parameters.initial, parameters.origin, self.vehicle, blocks)
         self.process_noise = source_of(parameters.process_noise, self.C_b_i)
         self._fill_constants()
         c = self.constants[0]
@@ -291,15 +292,15 @@ class Filter:
 
     def locate(self, state: Records, origin: Origin) -> None:
         """Odom's origin on the Earth becomes known; the first one counts."""
-        start.locate(state[0], origin)
+        locate(state[0], origin)
 
     def initialise(self, state: Records, initial: Initial, stamp_ns: int, w_ib_b: Array) -> None:
-        """The state becomes `initial`, see `start.Start.initialise`."""
+        """The state becomes `initial`, see `Start.initialise`."""
         if self._start.initialise(state, initial, stamp_ns, w_ib_b):
             self._trust_nothing(state[0])
 
     def await_start(self, state: Records, sample: Imu, reading: Array) -> None:
-        """An uninitialised state sees a sample, and may start from it, see `start.Start.see`."""
+        """An uninitialised state sees a sample, and may start from it, see `Start.see`."""
         if self._start.see(state, sample, reading):
             self._trust_nothing(state[0])
 
@@ -373,7 +374,7 @@ class Filter:
 
     def sample_variance(self, state: Records) -> Array:
         """Variance (3,) of one sample of the angular rate [(rad/s)^2], base_link axes."""
-        return np.diag(start.sample_variance_w(state[0], self.vehicle)).copy()
+        return np.diag(sample_variance_w(state[0], self.vehicle)).copy()
 
     def update(
         self, state: Records, event: Measurement, w_ib_b: Array, share: Array | float
@@ -429,7 +430,7 @@ class Filter:
             iterate=self.vehicle.invariant,
         )
         if self.vehicle.invariant and now.H[:, HORIZONTAL_POSITION].any():
-            error_state.move_reference(s)
+            coordinates.move_reference(s)
         self._gates[event.name].accept(s, stamp_ns, nis, left)
         if model.tells_velocity:
             judged_ns = s["gate"][event.name]["judged_ns"]
@@ -442,7 +443,7 @@ class Filter:
 
     def _turn(self, s: State, w_ib_b: Array, share: Array | float) -> Turn:
         """The turn rate at a measurement, and what is not known of it."""
-        covariance = start.sample_variance_w(s, self.vehicle) * np.sqrt(np.outer(share, share))
+        covariance = sample_variance_w(s, self.vehicle) * np.sqrt(np.outer(share, share))
         if channels.in_doubt(s):
             w_ib_b, unseen = channels.seen_rate(s, self.constants[0], w_ib_b)
             covariance = covariance + unseen

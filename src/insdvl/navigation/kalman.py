@@ -12,17 +12,14 @@ import numpy as np
 
 from insdvl.arrays import Array, Records
 from insdvl.kernels import kernel
-from insdvl.navigation import error_state
+from insdvl.navigation import coordinates
 from insdvl.navigation.error_state import ATTITUDE, POSITION, VELOCITY
 from insdvl.navigation.geometry.rotation import exponential
 from insdvl.navigation.measurements.base import Linearised
 
 #: An update is iterated where h bends by the mean sigma of R, and by a part from half of it on.
 _BEND = 1.0  # (sigma)^2
-#: And a measurement of the position where its H turns by this part of R, as the heading that is
-#: still unknown sees it.
-_TURNED = 0.01
-#: The iteration ends where what is left of both is negligible, in (sigma)^2, but not never.
+#: The iteration ends where what is left of that is negligible, in (sigma)^2, but not never.
 _SETTLED = 1e-6
 _STEPS = 10
 #: The product of tilt and velocity error counts from this part of R on.
@@ -184,7 +181,7 @@ def _correct(
             total += K[i, a] * innovation[a]
         dx[i] = total
     _joseph(state[0].nav.P, H, K, R)
-    error_state.inject(state[0], constants[0], dx)
+    coordinates.inject(state[0], constants[0], dx)
 
 
 @dataclass(frozen=True)
@@ -193,11 +190,10 @@ class _Step:
 
     Attributes:
         dx: (n,) error of the prior state that it removes.
-        P: (n, n) covariance behind it.
+        P: (n, n) covariance behind it, with h as it is there.
         K: (n, m) gain.
         left: (m,) innovation that is left.
         bend: Square of what is left beside what a linear h leaves, in mean variances of R.
-        turned: How far H has turned, as a part of R; where the position is measured.
     """
 
     dx: Array
@@ -205,12 +201,6 @@ class _Step:
     K: Array
     left: Array
     bend: float
-    turned: float
-
-    @property
-    def size(self) -> float:
-        """How far it is from the last step of an iteration."""
-        return self.bend + self.turned
 
 
 class _Iteration:
@@ -245,19 +235,16 @@ class _Iteration:
         state[:] = self._before
         dx = now.K @ now.innovation
         _correct(state, self._constants, now.H, now.K, R, now.innovation)
-        again = self._relinearise()
+        again, T = self._relinearise(), coordinates.remaining(dx)
         bend = again.z_minus_h - (now.innovation - now.H @ dx)
-        T = error_state.remaining(dx)
-        # Joseph form with T inside, where large numbers cancel before they are squared.
-        A, B = T @ (np.eye(n) - now.K @ now.H), T @ now.K
-        P = A @ P_0[:n, :n] @ A.T + B @ R @ B.T
-        P = (P + P.T) / 2
-        D = again.H - now.H @ np.linalg.inv(T)
-        turned = float(np.trace(D @ P @ D.T) / np.trace(R))
         H = again.H @ T
         self._next = innovate(P_0, again.z_minus_h + H @ dx, H, R)
+        there = self._next if self.can_go_on else now
+        # Joseph form with T inside, where large numbers cancel before they are squared.
+        A, B = T @ (np.eye(n) - there.K @ there.H), T @ there.K
+        P = A @ P_0[:n, :n] @ A.T + B @ R @ B.T
         mean_variance = np.trace(R) / len(R)
-        return _Step(dx, P, now.K, again.z_minus_h, float(bend @ bend) / mean_variance, turned)
+        return _Step(dx, (P + P.T) / 2, now.K, again.z_minus_h, float(bend @ bend) / mean_variance)
 
 
 @kernel
@@ -320,7 +307,7 @@ def _correct_body_velocity(
             P_n[VELOCITY, :] = turn @ P_n[VELOCITY, :]
             P_n[:, VELOCITY] = P_n[:, VELOCITY] @ turn.T
             P[:n, :n] = (P_n + P_n.T) / 2
-            error_state.inject(state[0], constants[0], dx)
+            coordinates.inject(state[0], constants[0], dx)
             return now.K, relinearise().z_minus_h
         P[VELOCITY, VELOCITY] = before
     _correct(state, constants, H, prior.K, R, prior.innovation)
@@ -343,11 +330,11 @@ def correct(
     is taken to second order: no iteration is needed, and the state is continuous in the
     measurement.
 
-    A measurement of the position tells it in metres, whatever the heading is. Where what is left of
-    the innovation is not what a linear h leaves, or H turns, the update is iterated from the same
-    prior with h at the corrected state (Gauss-Newton; Bell and Cathey, IEEE Transactions on
-    Automatic Control 38(2), 1993). The iteration fades in, so that here, too, the state is
-    continuous.
+    A measurement of the position tells it in metres, whatever the heading is: its covariance is
+    that with H at the corrected state. Where what is left of the innovation is not what a linear h
+    leaves, the update is iterated from the same prior with h at the corrected state (Gauss-Newton;
+    Bell and Cathey, IEEE Transactions on Automatic Control 38(2), 1993). The iteration fades in, so
+    that here, too, the state is continuous.
 
     Args:
         state: (1,) record.
@@ -367,16 +354,16 @@ def correct(
     before, n = state.copy(), len(prior.K)
     iteration = _Iteration(state, constants, prior, relinearise)
     first = best = iteration.step()
-    share = 2.0 * math.sqrt(max(first.bend / _BEND, first.turned / _TURNED)) - 1.0
+    share = 2.0 * math.sqrt(first.bend / _BEND) - 1.0
     if not share > 0.0 or not math.isfinite(share):
         state["nav"]["P"][0][:n, :n] = first.P
         return first.K, first.left
     share, steps = min(share, 1.0), 1
-    while steps < _STEPS and best.size > _SETTLED and iteration.can_go_on:
+    while steps < _STEPS and best.bend > _SETTLED and iteration.can_go_on:
         now, steps = iteration.step(), steps + 1
-        if now.size < best.size:  # should the iteration lead away, the best correction stands
+        if now.bend < best.bend:  # should the iteration lead away, the best correction stands
             best = now
     state[:] = before
-    error_state.inject(state[0], constants[0], first.dx + share * (best.dx - first.dx))
+    coordinates.inject(state[0], constants[0], first.dx + share * (best.dx - first.dx))
     state["nav"]["P"][0][:n, :n] = first.P + share * (best.P - first.P)
     return best.K, relinearise().z_minus_h

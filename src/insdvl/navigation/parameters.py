@@ -16,7 +16,7 @@ from insdvl.navigation.measurements.base import SensorParameters
 from insdvl.navigation.measurements.depth import DepthParameters
 from insdvl.navigation.measurements.dvl import DvlParameters
 from insdvl.navigation.process_noise.parameters import ProcessNoiseParameters
-from insdvl.navigation.start import InitialParameters, OriginParameters
+from insdvl.navigation.start.parameters import InitialParameters, OriginParameters
 from insdvl.parameters.declaration import ParameterError, check_frames, parameter
 
 _GRAVITY = 9.9  # m/s^2, more than anywhere on the Earth

@@ -2,8 +2,8 @@
 
 import math
 
-from insdvl.navigation import gyrocompass
-from insdvl.navigation.start import InitialParameters
+from insdvl.navigation.start import gyrocompass
+from insdvl.navigation.start.parameters import InitialParameters
 from insdvl.navigation.state import State
 
 _WHY = {

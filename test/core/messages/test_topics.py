@@ -16,7 +16,7 @@ from insdvl.messages.inputs import Inputs
 from insdvl.messages.topics import BY_NAME, DEPTH, DVL, IMU, TOPICS, TRUTH, ZeroStamp, taken
 from insdvl.navigation.measurements.base import SensorParameters
 from insdvl.navigation.parameters import FilterParameters
-from insdvl.navigation.start import _NO_INITIAL_TOPIC
+from insdvl.navigation.start.parameters import _NO_INITIAL_TOPIC
 from insdvl.parameters.declaration import ParameterError, build
 from insdvl.recordings.parameters import ReplayParameters
 

@@ -15,14 +15,13 @@ from reset import apply_it_after_every_update
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, norm
 
+from insdvl.navigation.coordinates import body_velocity_jacobian, position_error
 from insdvl.navigation.error_state import (
     ACCELEROMETER_BIAS,
     ATTITUDE,
     GYROSCOPE_BIAS,
     POSITION,
     VELOCITY,
-    body_velocity_jacobian,
-    position_error,
 )
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import (

@@ -8,8 +8,9 @@ from places import moved, put
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from insdvl.navigation import error_state
-from insdvl.navigation.error_state import ATTITUDE, POSITION, VELOCITY, position_error
+from insdvl.navigation import coordinates
+from insdvl.navigation.coordinates import position_error
+from insdvl.navigation.error_state import ATTITUDE, POSITION, VELOCITY
 from insdvl.navigation.events import NS, Event, Initial, refusal
 from insdvl.navigation.filter import Filter
 from insdvl.navigation.geometry.earth import gravity
@@ -110,7 +111,7 @@ def state_at(filter_: Filter, x: np.ndarray, *, invariant: bool) -> Any:
     nav["C_n_b"] = turn @ C
     nav["v_n"] = (turn @ v_n if invariant else v_n) + x[VELOCITY]
     put(nav, [50.0, -20.0, 12.0], [49.2, -20.7, 11.0])
-    x_n = error_state.from_reference(nav)
+    x_n = coordinates.from_reference(nav)
     nav["llh"] = moved(nav["llh"], (turn @ x_n - x_n if invariant else 0.0) + x[POSITION])
     nav["optional"][: len(x) - 15] = 4.0 + x[15:]
     nav["time_ns"], nav["initialised"] = NS, 1

@@ -13,7 +13,7 @@ from oracle import skew, van_loan
 from places import moved
 from scipy.spatial.transform import Rotation
 
-from insdvl.navigation import error_state, strapdown
+from insdvl.navigation import coordinates, error_state, strapdown
 from insdvl.navigation.error_state import (
     ACCELEROMETER_BIAS,
     ATTITUDE,
@@ -455,7 +455,7 @@ def test_injection_moves_by_the_error(model):
     case = Case(model, 5, bias_model="gauss_markov")
     x = np.random.default_rng(6).uniform(-0.5, 0.5, 18)
     state = case.record(case.nominal)
-    error_state.inject(state[0], case.constants, x)
+    coordinates.inject(state[0], case.constants, x)
     expected = case.plus(case.nominal, x)
     for name in NOMINAL:
         np.testing.assert_allclose(state[0]["nav"][name], expected[name], atol=1e-13, err_msg=name)
@@ -477,7 +477,7 @@ def test_initial_errors_to_those_of_the_model(model, velocity_frame):
             true["v_n"] = v_n + x[VELOCITY]
         return case.minus(true, case.nominal)
 
-    T = error_state.from_ordinary_errors(
+    T = coordinates.from_ordinary_errors(
         C_n_b, v_n, x_n, invariant=case.invariant, velocity_frame=velocity_frame, n=15
     )
     np.testing.assert_allclose(T, case.jacobian(error), atol=1e-8)
@@ -491,9 +491,9 @@ def test_body_velocity_jacobian(model):
         true = case.plus(case.nominal, x)
         return true["C_n_b"].T @ true["v_n"]
 
-    J = error_state.body_velocity_jacobian(C_n_b, v_n, invariant=case.invariant, n=18)
+    J = coordinates.body_velocity_jacobian(C_n_b, v_n, invariant=case.invariant, n=18)
     np.testing.assert_allclose(J, case.jacobian(body_velocity), atol=1e-8)
-    many = error_state.body_velocity_jacobian(
+    many = coordinates.body_velocity_jacobian(
         np.stack([np.eye(3), C_n_b]), np.stack([-v_n, v_n]), invariant=case.invariant, n=18
     )
     np.testing.assert_array_equal(many[1], J)

@@ -7,7 +7,8 @@ import pytest
 from records import P15, fields
 from scipy.stats import chi2
 
-from insdvl.navigation.error_state import ATTITUDE, VELOCITY, body_velocity_jacobian
+from insdvl.navigation.coordinates import body_velocity_jacobian
+from insdvl.navigation.error_state import ATTITUDE, VELOCITY
 from insdvl.navigation.events import NS
 from insdvl.navigation.filter import Filter
 from insdvl.navigation.measurements.dvl import Dvl

@@ -10,16 +10,23 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from insdvl.navigation import gyrocompass
 from insdvl.navigation.events import NS, Imu, Initial
 from insdvl.navigation.geometry.earth import EARTH_RATE, gravity
 from insdvl.navigation.geometry.frames import rotation_from_rpy
-from insdvl.navigation.gyrocompass import FOUND, GAP, INACCURATE, MOVES, NOT_THE_EARTH, UNDECIDED
 from insdvl.navigation.parameters import (
     FilterParameters,
     InitialParameters,
     OriginParameters,
     ProcessNoiseParameters,
+)
+from insdvl.navigation.start import gyrocompass
+from insdvl.navigation.start.gyrocompass import (
+    FOUND,
+    GAP,
+    INACCURATE,
+    MOVES,
+    NOT_THE_EARTH,
+    UNDECIDED,
 )
 from insdvl.navigation.state import State
 from insdvl.parameters.declaration import ParameterError

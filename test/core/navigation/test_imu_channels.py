@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from records import P15
 
-from insdvl.navigation.error_state import body_velocity_jacobian
+from insdvl.navigation.coordinates import body_velocity_jacobian
 from insdvl.navigation.events import Event, Imu, Initial
 from insdvl.navigation.geometry.frames import rotation_from_rpy
 from insdvl.navigation.measurements.dvl import Dvl

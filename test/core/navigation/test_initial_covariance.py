@@ -7,7 +7,8 @@ import pytest
 from places import position
 from scipy.spatial.transform import Rotation
 
-from insdvl.navigation.error_state import ATTITUDE, VELOCITY, from_reference
+from insdvl.navigation.coordinates import from_reference
+from insdvl.navigation.error_state import ATTITUDE, VELOCITY
 from insdvl.navigation.events import Imu, Initial
 from insdvl.navigation.geometry.frames import rotation_from_rpy
 from insdvl.navigation.parameters import (

@@ -10,15 +10,17 @@ import pytest
 from records import P15
 from reset import apply_it_after_every_update, reset_jacobian
 from scipy.linalg import block_diag, expm, solveh_banded
+from scipy.spatial.transform import Rotation
 
 from insdvl.navigation.error_state import (
     ACCELEROMETER_BIAS,
     ATTITUDE,
     GYROSCOPE_BIAS,
+    POSITION,
     VELOCITY,
-    cross_matrix,
 )
 from insdvl.navigation.events import Initial
+from insdvl.navigation.geometry.rotation import cross_matrix
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import (
     DvlParameters,
@@ -131,13 +133,21 @@ def test_the_covariance_after_an_update_is_josephs_form_and_nothing_else(error_s
     if not invariant:
         H[:, ATTITUDE] += C_b_n @ cross_matrix(v_n)
     H[:, GYROSCOPE_BIAS] = l_x
-    line = np.polyfit(np.arange(25) - 24.5, np.eye(25), 1)[1]  # its end, by each of 25 samples
-    R = 0.01 * np.eye(3) + l_x @ l_x.T * 0.001 * (line @ line)
+    # The end of a line through 25 samples, whose slope is 0 +- 0.1 rad/s^2 before.
+    line = np.vander(0.01 * (np.arange(25) - 24.5), 2)
+    variance = np.linalg.inv(line.T @ line / 0.001 + np.diag([1.0 / 0.1**2, 0.0]))[1, 1]
+    R = 0.01 * np.eye(3) + l_x @ l_x.T * variance
     P = P15(before)
     S = H @ P @ H.T + R
     K = P @ H.T @ np.linalg.inv(S)
     dx = K @ report.innovation
     joseph = (np.eye(15) - K @ H) @ P @ (np.eye(15) - K @ H).T + K @ R @ K.T
+
+    if invariant:  # told in the axes of the heading, which the update turns
+        turn = np.eye(15)
+        for block in (VELOCITY, ATTITUDE, POSITION):
+            turn[block, block] = Rotation.from_rotvec([0.0, 0.0, dx[5]]).as_matrix()
+        joseph = turn @ joseph @ turn.T
 
     scale = np.sqrt(np.outer(np.diag(joseph), np.diag(joseph)))
     np.testing.assert_allclose(report.S, S, rtol=1e-6, atol=1e-9)

@@ -13,11 +13,13 @@ from fix import Fix, with_fixes
 from places import moved, position, put
 from scipy.spatial.transform import Rotation
 
-from insdvl.navigation import error_state, kalman
-from insdvl.navigation.error_state import ATTITUDE, POSITION, VELOCITY, position_error
+from insdvl.navigation import coordinates, kalman
+from insdvl.navigation.coordinates import position_error
+from insdvl.navigation.error_state import ATTITUDE, POSITION, VELOCITY
 from insdvl.navigation.events import Initial
 from insdvl.navigation.filter import Filter
 from insdvl.navigation.geometry.earth import displacements
+from insdvl.navigation.geometry.rotation import cross_matrix
 from insdvl.navigation.measurements.base import Turn
 from insdvl.simulation.grades import GRADES
 from insdvl.simulation.mission import Mission
@@ -139,12 +141,13 @@ def state_at(filter_: Filter, x: np.ndarray) -> np.ndarray:
     """A record whose truth differs by the error x from a nominal state."""
     state = filter_.empty()
     nav = state[0]["nav"]
-    turn = Rotation.from_rotvec(x[ATTITUDE]).as_matrix()
-    nav["C_n_b"] = turn @ Rotation.from_rotvec([0.3, -0.5, 1.1]).as_matrix()
-    nav["v_n"] = turn @ np.array([1.0, -0.4, 0.2]) + x[VELOCITY]
+    tilt = Rotation.from_rotvec(x[ATTITUDE] * [1.0, 1.0, 0.0]).as_matrix()
+    heading = Rotation.from_rotvec(x[ATTITUDE] * [0.0, 0.0, 1.0]).as_matrix()
+    nav["C_n_b"] = heading @ tilt @ Rotation.from_rotvec([0.3, -0.5, 1.1]).as_matrix()
+    nav["v_n"] = heading @ (tilt @ np.array([1.0, -0.4, 0.2]) + x[VELOCITY])
     put(nav, [50.0, -20.0, 12.0], [10.0, 30.0, 1.0])
-    x_n = error_state.from_reference(nav)
-    nav["llh"] = moved(nav["llh"], turn @ x_n - x_n + x[POSITION])
+    x_n = coordinates.from_reference(nav)
+    nav["llh"] = moved(nav["llh"], heading @ (tilt @ x_n + x[POSITION]) - x_n)
     nav["initialised"] = 1
     return state
 
@@ -171,7 +174,7 @@ def test_the_exact_error_of_the_position_is_that_of_the_injection() -> None:
     nav = true[0]["nav"]
     found = position_error(nominal[0]["nav"], nav["C_n_b"], nav["llh"], invariant=True)
     np.testing.assert_allclose(found, x[POSITION], atol=1e-8)
-    error_state.inject(nominal[0], filter_.constants[0], x)
+    coordinates.inject(nominal[0], filter_.constants[0], x)
     np.testing.assert_allclose(displacements(nominal[0]["nav"]["llh"], nav["llh"]), 0.0, atol=1e-8)
 
 
@@ -187,15 +190,15 @@ def test_a_told_position_is_known_whatever_the_heading_is() -> None:
     nav, P = state[0]["nav"], state[0]["nav"]["P"][:15, :15]
     J = np.zeros((3, 15))
     J[:, POSITION] = np.eye(3)
-    J[:, ATTITUDE] = -error_state.cross_matrix(error_state.from_reference(nav))
+    J[:, ATTITUDE] = -cross_matrix(coordinates.from_reference(nav))
     np.testing.assert_allclose(J @ P @ J.T, np.eye(3), atol=0.01)
     # No heading that is found later turns it: the reference is where it was told, nearly.
-    left = np.linalg.norm(error_state.from_reference(nav))
+    left = np.linalg.norm(coordinates.from_reference(nav))
     assert left < 0.1 * np.linalg.norm(position(nav))
     heading = np.zeros(15)
     heading[5] = 1.0
     gain = P @ heading / P[5, 5]
-    error_state.inject(state[0], filter_.constants[0], gain * np.radians(60.0))
+    coordinates.inject(state[0], filter_.constants[0], gain * np.radians(60.0))
     np.testing.assert_allclose(position(nav), fix.p_o, atol=30.0)
 
 

@@ -78,7 +78,7 @@ def ratios(monkeypatch: pytest.MonkeyPatch, seed: int, late: float = 0.0) -> Arr
     )
     truth = mission.initial
     C = truth.C_n_b[0]
-    initial = Initial(0, C, truth.p_n[0], C.T @ truth.v_n[0], "body")
+    initial = Initial(0, C, truth.p_o[0], C.T @ truth.v_n[0], "body")
     pings = zip(mission.dvl_stamps_ns.tolist(), mission.v_d, strict=True)
     events = [initial, *(Dvl(stamp + round(late * 1e9), v_d) for stamp, v_d in pings)]
     if late:

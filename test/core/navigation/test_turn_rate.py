@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from insdvl.navigation.error_state import body_velocity_jacobian
+from insdvl.navigation.coordinates import body_velocity_jacobian
 from insdvl.navigation.events import Initial
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import (

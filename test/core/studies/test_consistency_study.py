@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import binom
 
 from insdvl.cli import main
-from insdvl.navigation import error_state
+from insdvl.navigation import coordinates
 from insdvl.navigation.events import Initial
 from insdvl.navigation.filter import Filter
 from insdvl.navigation.measurements.dvl import DvlParameters
@@ -97,7 +97,7 @@ def test_errors_are_those_that_inject_adds(form: str) -> None:
     filter_.initialise(state, initial, 0, np.zeros(3))
     x = np.random.default_rng(SEED).uniform(-0.5, 0.5, 15)
     true = state.copy()
-    error_state.inject(true[0], filter_.constants[0], x)
+    coordinates.inject(true[0], filter_.constants[0], x)
     nav, nothing = true["nav"], np.zeros((1, 3))
     truth = Truth(
         t=np.zeros(1),

@@ -16,7 +16,7 @@ from records import fields
 
 from insdvl import cli
 from insdvl.messages.refusals import Refused
-from insdvl.navigation import error_state
+from insdvl.navigation import coordinates
 from insdvl.navigation.error_state import ATTITUDE, POSITION
 from insdvl.navigation.events import NS, Event, Initial, ProcessNoise
 from insdvl.navigation.geometry.frames import ENU, rpy_from_rotation
@@ -281,7 +281,7 @@ def test_the_numbers_are_those_of_the_arrays(
     assert numbers["depth_error_end"] == pytest.approx(deeper, abs=1e-9)
     down = np.zeros(15)  # of a position in metres, by the error in the group
     down[POSITION.stop - 1] = 1.0
-    down[ATTITUDE] = -error_state.turns_position(states[-1], invariant=True)[2]
+    down[ATTITUDE] = -coordinates.turns_position(states[-1], invariant=True)[2]
     sigma = np.sqrt(down @ states["nav"]["P"][-1, :15, :15] @ down)
     assert numbers["depth_sigma_end"] == pytest.approx(sigma, rel=1e-6)
     assert 0.9 < numbers["body_velocity_inside_3_sigma"] <= 1.0

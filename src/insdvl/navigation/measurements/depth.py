@@ -14,10 +14,11 @@ from typing import ClassVar
 import numpy as np
 
 from insdvl.arrays import Array, Records
-from insdvl.navigation import error_state
+from insdvl.navigation import coordinates
 from insdvl.navigation.error_state import ACCELEROMETER_BIAS, ATTITUDE, POSITION, VELOCITY
 from insdvl.navigation.events import MAX_DISTANCE, MAX_VARIANCE, Limits, Measurement
 from insdvl.navigation.geometry.earth import gravity
+from insdvl.navigation.geometry.rotation import cross_matrix
 from insdvl.navigation.measurements.base import (
     Block,
     Linearised,
@@ -185,8 +186,8 @@ class DepthModel(SensorModel[Depth]):
         arm = nav["C_n_b"] @ self._l_b
         surface = parameters.surface_height
         H = np.zeros((1, vehicle.n))
-        turned = error_state.turns_position(state[0], invariant=vehicle.invariant)
-        H[0, ATTITUDE] = -(turned + error_state.cross_matrix(arm))[_DOWN]
+        turned = coordinates.turns_position(state[0], invariant=vehicle.invariant)
+        H[0, ATTITUDE] = -(turned + cross_matrix(arm))[_DOWN]
         H[0, POSITION.start + _DOWN] = 1.0
         if self._surface is not None:
             H[0, self._surface] = 1.0
@@ -228,7 +229,7 @@ class DepthModel(SensorModel[Depth]):
         nav, down = s["nav"], POSITION.start + _DOWN
         P = nav["P"]
         nav["llh"][2] -= innovation[0]
-        turned = error_state.turns_position(s, invariant=self._vehicle.invariant)[_DOWN]
+        turned = coordinates.turns_position(s, invariant=self._vehicle.invariant)[_DOWN]
         P[down, :] = turned @ P[ATTITUDE, :]
         P[:, down] = P[down, :]
         P[down, down] = turned @ P[ATTITUDE, ATTITUDE] @ turned + R[0, 0] + innovation[0] ** 2

@@ -6,15 +6,13 @@ from types import MappingProxyType
 import numpy as np
 
 from insdvl.arrays import Array
+from insdvl.navigation.coordinates import attitude_error, position_error, velocity_error
 from insdvl.navigation.error_state import (
     ACCELEROMETER_BIAS,
     ATTITUDE,
     GYROSCOPE_BIAS,
     POSITION,
     VELOCITY,
-    attitude_error,
-    position_error,
-    velocity_error,
 )
 from insdvl.navigation.state import CORE
 from insdvl.studies.consistency.flights import Flown

@@ -6,7 +6,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array, Records
-from insdvl.navigation.error_state import ATTITUDE, body_velocity_jacobian
+from insdvl.navigation.coordinates import body_velocity_jacobian
+from insdvl.navigation.error_state import ATTITUDE
 from insdvl.navigation.filter import Filter
 from insdvl.simulation.mission import Mission
 

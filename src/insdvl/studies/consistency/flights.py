@@ -15,7 +15,8 @@ from scipy.stats import chi2
 
 from insdvl.arrays import Array, Records
 from insdvl.navigation.channels import ImuParameters
-from insdvl.navigation.error_state import HORIZONTAL_POSITION, attitude_error, position_error
+from insdvl.navigation.coordinates import attitude_error, position_error
+from insdvl.navigation.error_state import HORIZONTAL_POSITION
 from insdvl.navigation.events import Event, Initial
 from insdvl.navigation.filter import Filter
 from insdvl.navigation.gate import GateParameters
@@ -24,7 +25,7 @@ from insdvl.navigation.measurements.dvl import Dvl, DvlParameters
 from insdvl.navigation.odometry import odometry
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.process_noise.parameters import ProcessNoiseParameters
-from insdvl.navigation.start import InitialParameters, OriginParameters
+from insdvl.navigation.start.parameters import InitialParameters, OriginParameters
 from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.grades import Grade
 from insdvl.simulation.mission import Mission, simulate

@@ -55,7 +55,7 @@ class Departure:
 
     Attributes:
         start: Stamp of the first state [s].
-        compass: What became of gyrocompassing, see `insdvl.navigation.gyrocompass`.
+        compass: What became of gyrocompassing, see `insdvl.navigation.start.gyrocompass`.
         number: The number that led to it.
         errors: At the start and each second behind it.
     """

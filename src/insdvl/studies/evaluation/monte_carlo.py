@@ -14,14 +14,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array, Records, Stamps
-from insdvl.navigation.error_state import (
-    ACCELEROMETER_BIAS,
-    ATTITUDE,
-    GYROSCOPE_BIAS,
-    POSITION,
-    body_velocity_jacobian,
-    position_error,
-)
+from insdvl.navigation.coordinates import body_velocity_jacobian, position_error
+from insdvl.navigation.error_state import ACCELEROMETER_BIAS, ATTITUDE, GYROSCOPE_BIAS, POSITION
 from insdvl.navigation.events import NS, Event, Initial, ProcessNoise
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.odometry import position_in_odom

@@ -15,10 +15,10 @@ import numpy as np
 from scipy.special import gammainccinv
 
 from insdvl.arrays import Array
-from insdvl.navigation.error_state import cross_matrix
 from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.earth import earth_rate_n, gravity
 from insdvl.navigation.geometry.frames import rotation_from_rpy
+from insdvl.navigation.geometry.rotation import cross_matrix
 from insdvl.navigation.state import State
 
 # What has become of it, as it stands in the record. All but the first two: the heading is as told.
