@@ -100,7 +100,7 @@ def noisy_fly(m: Mission, error_state: str, earth_rate: bool) -> FoldResult:
         earth_rate=earth_rate,
         dvl=DvlParameters(lever_arm=tuple(ARM.tolist())),
         initial=InitialParameters(
-            mode="set_odometry", heading_std=np.radians(10.0), velocity_std=0.5
+            mode="set_odometry", heading_std=np.radians(10.0), velocity_std=0.2
         ),
     )
 
