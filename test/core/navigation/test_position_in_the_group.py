@@ -58,10 +58,6 @@ def mean_nees(found: list[Flight], first: int) -> float:
     return float(np.mean([flight.nees[first - 1 :] for flight in found]))
 
 
-def coverage(found: list[Flight], first: int) -> float:
-    return float(np.mean([flight.inside[first - 1 :] for flight in found]))
-
-
 def end_errors(found: list[Flight]) -> np.ndarray:
     return np.array([flight.error[-1] for flight in found])
 
@@ -110,11 +106,15 @@ def test_a_position_that_is_told_late_is_not_turned() -> None:
     ids=["1", "5", "30", "60", "100", "MEMS", "far"],
 )
 def test_nees_and_ellipse(case: Case) -> None:
+    """A run's positions go along with each other, so 100 runs tell the share inside to 2 % only."""
     found = flights(case, RUNS)
-    nees, inside = mean_nees(found, 300), coverage(found, 300)
-    print(f"NEES {nees:.2f}, inside {inside:.3f}, end {np.sqrt(np.mean(end_errors(found) ** 2))}")
-    assert 0.75 < nees < (1.6 if case.uniform_heading else 1.3)
-    assert inside >= 0.93
+    nees = mean_nees(found, 300)
+    shares = np.array([np.mean(flight.inside[299:]) for flight in found])
+    inside, error = shares.mean(), shares.std(ddof=1) / np.sqrt(RUNS)
+    end = np.sqrt(np.mean(end_errors(found) ** 2))
+    print(f"NEES {nees:.2f}, inside {inside:.3f} +- {error:.3f}, end {end:.2f} m")
+    assert 0.75 < nees < 1.3
+    assert inside + 2.0 * error >= 0.93
 
 
 @pytest.mark.long
