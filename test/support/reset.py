@@ -25,8 +25,8 @@ def apply_it_after_every_update(monkeypatch: pytest.MonkeyPatch) -> None:
     """From here on every filter of this test applies the reset Jacobian."""
     correct = kalman._correct
 
-    def with_reset(state, constants, H, K, R, innovation):  # type: ignore[no-untyped-def]
-        correct(state, constants, H, K, R, innovation)
+    def with_reset(state, constants, H, K, R, innovation, *product):  # type: ignore[no-untyped-def]
+        correct(state, constants, H, K, R, innovation, *product)
         n = len(K)
         G = reset_jacobian(K @ innovation, invariant=bool(constants[0]["invariant"]))
         P = state[0]["nav"]["P"]

@@ -14,7 +14,7 @@ from insdvl.arrays import Array, Records
 from insdvl.kernels import kernel
 from insdvl.navigation import coordinates
 from insdvl.navigation.error_state import ATTITUDE, POSITION, VELOCITY
-from insdvl.navigation.geometry.rotation import exponential
+from insdvl.navigation.geometry.rotation import exponential, rotate
 from insdvl.navigation.measurements.base import Linearised
 
 #: An update is iterated where h bends by the mean sigma of R, and by a part from half of it on.
@@ -169,10 +169,26 @@ def _joseph(P: Array, H: Array, K: Array, R: Array) -> None:
 
 
 @kernel
+def _inject(state: Records, constants: Records, dx: Array) -> None:
+    coordinates.inject(state[0], constants[0], dx)
+
+
+@kernel
 def _correct(
-    state: Records, constants: Records, H: Array, K: Array, R: Array, innovation: Array
+    state: Records,
+    constants: Records,
+    H: Array,
+    K: Array,
+    R: Array,
+    innovation: Array,
+    mean: Array,
+    product: bool,
 ) -> None:
-    """Joseph form, then the injection of K nu."""
+    """Joseph form, then the injection of K nu.
+
+    With ``product`` the velocity error of P, H and K is dv' of `_correct_body_velocity`, and
+    ``mean`` that of t x dv.
+    """
     n, m = K.shape
     dx = np.empty(n)
     for i in range(n):
@@ -180,8 +196,37 @@ def _correct(
         for a in range(m):
             total += K[i, a] * innovation[a]
         dx[i] = total
-    _joseph(state[0].nav.P, H, K, R)
-    coordinates.inject(state[0], constants[0], dx)
+    P = state[0].nav.P
+    _joseph(P, H, K, R)
+    if product:
+        turn, scratch, dv = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+        exponential(turn, scratch, dx[_A], dx[_A + 1], 0.0)
+        for i in range(3):
+            dv[i] = dx[_V + i] - mean[i]
+        rotate(dx[_V : _V + 3], turn, dv)
+        _turn_velocity(P, turn, n)
+    _inject(state, constants, dx)
+
+
+@kernel
+def _turn_velocity(P: Array, turn: Array, n: int) -> None:
+    """The velocity error of P in turned axes."""
+    column, turned = np.empty(3), np.empty(3)
+    for j in range(n):
+        for i in range(3):
+            column[i] = P[_V + i, j]
+        rotate(turned, turn, column)
+        for i in range(3):
+            P[_V + i, j] = turned[i]
+    for i in range(n):
+        for j in range(3):
+            column[j] = P[i, _V + j]
+        rotate(turned, turn, column)
+        for j in range(3):
+            P[i, _V + j] = turned[j]
+    for i in range(3):  # the sums of two mirrored elements are rounded in different orders
+        for j in range(n):
+            P[j, _V + i] = P[_V + i, j]
 
 
 @dataclass(frozen=True)
@@ -234,7 +279,7 @@ class _Iteration:
         n, R, P_0 = len(now.K), now.R, self._before["nav"]["P"][0]
         state[:] = self._before
         dx = now.K @ now.innovation
-        _correct(state, self._constants, now.H, now.K, R, now.innovation)
+        _correct(state, self._constants, now.H, now.K, R, now.innovation, np.zeros(3), False)
         again, T = self._relinearise(), coordinates.remaining(dx)
         bend = again.z_minus_h - (now.innovation - now.H @ dx)
         H = again.H @ T
@@ -288,30 +333,20 @@ def _correct_body_velocity(
     With dv = R_t dv' the measurement tells dv' whatever tilt and heading are, and
     dv' = dv - t x dv to second order: its covariance is that of dv and of the product.
     """
-    nav, H, R = state[0]["nav"], prior.H, prior.R
-    P, n = nav["P"], len(prior.K)
+    H, R, P = prior.H, prior.R, state[0]["nav"]["P"]
     mean, covariance, H_v = np.empty(3), np.empty((3, 3)), H[:, VELOCITY]
     _product_moments(P, mean, covariance)
+    K, innovation, product = prior.K, prior.innovation, False
     if np.trace(H_v @ covariance @ H_v.T) > _PRODUCT * np.trace(R):
         before = P[VELOCITY, VELOCITY].copy()
         P[VELOCITY, VELOCITY] += covariance
-        now = innovate(P, prior.innovation + H_v @ mean, H, R)
+        now = innovate(P, innovation + H_v @ mean, H, R)
         if np.isfinite(now.nis):
-            dx = now.K @ now.innovation
-            dx[VELOCITY] -= mean
-            turn = np.empty((3, 3))
-            exponential(turn, np.empty((3, 3)), dx[_A], dx[_A + 1], 0.0)
-            dx[VELOCITY] = turn @ dx[VELOCITY]
-            P_n = P[:n, :n].copy()
-            _joseph(P_n, H, now.K, R)
-            P_n[VELOCITY, :] = turn @ P_n[VELOCITY, :]
-            P_n[:, VELOCITY] = P_n[:, VELOCITY] @ turn.T
-            P[:n, :n] = (P_n + P_n.T) / 2
-            coordinates.inject(state[0], constants[0], dx)
-            return now.K, relinearise().z_minus_h
-        P[VELOCITY, VELOCITY] = before
-    _correct(state, constants, H, prior.K, R, prior.innovation)
-    return prior.K, relinearise().z_minus_h
+            K, innovation, product = now.K, now.innovation, True
+        else:
+            P[VELOCITY, VELOCITY] = before
+    _correct(state, constants, H, K, R, innovation, mean, product)
+    return K, relinearise().z_minus_h
 
 
 def correct(
@@ -347,7 +382,8 @@ def correct(
         The gain (n, m) at the prediction, and the innovation (m,) that is left.
     """
     if not iterate:
-        _correct(state, constants, prior.H, prior.K, prior.R, prior.innovation)
+        none = np.zeros(3)
+        _correct(state, constants, prior.H, prior.K, prior.R, prior.innovation, none, False)
         return prior.K, relinearise().z_minus_h
     if not prior.H[:, POSITION].any():
         return _correct_body_velocity(state, constants, prior, relinearise)
@@ -364,6 +400,6 @@ def correct(
         if now.bend < best.bend:  # should the iteration lead away, the best correction stands
             best = now
     state[:] = before
-    coordinates.inject(state[0], constants[0], first.dx + share * (best.dx - first.dx))
+    _inject(state, constants, first.dx + share * (best.dx - first.dx))
     state["nav"]["P"][0][:n, :n] = first.P + share * (best.P - first.P)
     return best.K, relinearise().z_minus_h
