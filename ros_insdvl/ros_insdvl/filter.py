@@ -27,6 +27,7 @@ from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.odometry import Odometry as FilterOdometry
 from insdvl.navigation.odometry import biases
 from insdvl.navigation.parameters import FilterParameters
+from insdvl.navigation.start import gyrocompass
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.jumps import TimeJump
 from insdvl.timeline.output import AppliedUpdate
@@ -75,6 +76,7 @@ def compile_kernels(parameters: FilterParameters) -> None:
         check.add(event)
     check.add(Dvl(4 * step, np.full(3, 0.01)))
     fold.take()
+    gyrocompass.jacobian(np.eye(3), 0.0, 0.0)  # calls the Earth's rate and gravity, as a start does
 
 
 class FilterNode(InsdvlNode[FilterParameters]):
