@@ -27,6 +27,7 @@ from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.odometry import Odometry as FilterOdometry
 from insdvl.navigation.odometry import biases
 from insdvl.navigation.parameters import FilterParameters
+from insdvl.navigation.start import gyrocompass
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.jumps import TimeJump
 from insdvl.timeline.output import AppliedUpdate
@@ -45,12 +46,15 @@ DISCOVERY_PERIOD = 0.5  # s of the steady clock between two looks for the type o
 def compile_kernels(parameters: FilterParameters) -> None:
     """Run a filter for a moment, so that no message ever waits for a compilation.
 
-    Its measurements come between two samples, as those of a sensor do, and its channels freeze.
+    Its measurements come between two samples, as those of a sensor do, and its channels freeze. The
+    first one corrects so much that it is of second order, the next one is ordinary.
     """
     fold = Fold(
         replace(
             parameters,
-            initial=replace(parameters.initial, mode="parameters"),
+            initial=replace(
+                parameters.initial, mode="parameters", velocity_std=100.0, tilt_std=0.1
+            ),
             origin=replace(parameters.origin, source="parameters"),
             imu=replace(parameters.imu, frozen_samples=2),
             gate=replace(parameters.gate, enabled=False),
@@ -65,12 +69,14 @@ def compile_kernels(parameters: FilterParameters) -> None:
     events += [
         ProcessNoise(2 * step - step // 2, np.eye(3), np.eye(3)),
         Dvl(3 * step - step // 2, np.full(3, 0.01)),
+        Dvl(4 * step - step // 2, np.full(3, 0.02)),
     ]
     for event in events:
         fold.add(event)
         check.add(event)
     check.add(Dvl(4 * step, np.full(3, 0.01)))
     fold.take()
+    gyrocompass.jacobian(np.eye(3), 0.0, 0.0)  # calls the Earth's rate and gravity, as a start does
 
 
 class FilterNode(InsdvlNode[FilterParameters]):

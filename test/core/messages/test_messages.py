@@ -344,6 +344,12 @@ class TestInitial:
         message = odometry_message(q=q)
         assert reason_of(messages.initial, message, ENU, once=False) == "bad_quaternion"
 
+    def test_a_position_too_far_from_the_origin_is_refused_by_its_distance(self):
+        with pytest.raises(RejectedMessage, match=r"out_of_range: .* 2000 km .* at most 1000 km"):
+            messages.initial(odometry_message(p=(-1.6e6, 1.2e6, 0.0)), ENU, once=False)
+        near = messages.initial(odometry_message(p=(6e5, -7.9e5, 0.0)), ENU, once=False)
+        np.testing.assert_allclose(near.p_o, [-7.9e5, 6e5, 0.0])
+
     def test_bad_covariance(self):
         message = odometry_message(P=np.diag([1.0, 1.0, 1.0, 1.0, 1.0, -1.0]))
         assert reason_of(messages.initial, message, ENU, once=False) == "bad_covariance"

@@ -59,13 +59,24 @@ def random_spd(rng, scale):
 class Case:
     """A filter at a random state."""
 
-    def __init__(self, model, seed, *, speed=4.0, lat_deg=None, bias_model="none", mount_std=0.0):
+    def __init__(
+        self,
+        model,
+        seed,
+        *,
+        speed=4.0,
+        lat_deg=None,
+        bias_model="none",
+        mount_std=0.0,
+        earth_rate=True,
+    ):
         rng = np.random.default_rng(seed)
         lat_deg = rng.uniform(-79.0, 79.0) if lat_deg is None else lat_deg
         self.filter = Filter(
             FilterParameters(
                 frame_convention="ned",
                 error_state=model,
+                earth_rate=earth_rate,
                 origin=OriginParameters(latitude_deg=float(lat_deg), height=-50.0),
                 imu=ImuParameters(lever_arm=(0.3, -0.2, 0.1), mount=(0.1, -0.2, 0.3)),
                 dvl=DvlParameters(
@@ -459,6 +470,40 @@ def test_injection_moves_by_the_error(model):
     expected = case.plus(case.nominal, x)
     for name in NOMINAL:
         np.testing.assert_allclose(state[0]["nav"][name], expected[name], atol=1e-13, err_msg=name)
+
+
+@pytest.mark.parametrize("eta", [0.3, 2.0, -3.0])
+def test_a_heading_error_of_any_size_is_in_neither_motion_nor_measurement(eta):
+    """Without the Earth's rotation: the other errors go on, and are measured, as without it.
+
+    The vehicle is elsewhere, at another height of the path behind it: x v dt / R of the position.
+    """
+    case, dt = Case("invariant", 10, lat_deg=0.0, earth_rate=False), 0.01
+    x = np.random.default_rng(11).uniform(-0.1, 0.1, case.n)
+    turned = x.copy()
+    x[ATTITUDE.stop - 1], turned[ATTITUDE.stop - 1] = 0.0, eta
+    after, v_d = case.moved(case.nominal, dt), np.zeros(3)
+    one, other = (
+        case.minus(case.moved(case.plus(case.nominal, e), dt), after) for e in (x, turned)
+    )
+    allowed = np.full(case.n, 1e-12)
+    allowed[POSITION] = 2.0 * 40.0 * 4.0 * dt / 6.37e6
+    assert (abs(other - one - (turned - x)) < allowed).all()
+    one, other = (case.innovation(case.plus(case.nominal, e), v_d) for e in (x, turned))
+    np.testing.assert_allclose(other, one, rtol=0.0, atol=1e-12)
+
+
+def test_what_remains_behind_a_correction():
+    """Of the errors, by those before: at a large heading, velocity and position, without tilt."""
+    case = Case("invariant", 12, lat_deg=0.0)
+    dx = np.zeros(case.n)
+    dx[VELOCITY], dx[POSITION], dx[ATTITUDE.stop - 1] = (3.0, -4.0, 0.5), (80.0, -60.0, 5.0), 2.0
+    corrected = case.plus(case.nominal, dx)
+    measured = case.jacobian(lambda e: case.minus(case.plus(case.nominal, dx + e), corrected))
+    allowed = np.full(measured.shape, 1e-8)
+    allowed[POSITION] = 100.0 * 100.0 / 6.37e6  # a path of 100 m that tilts, on a round Earth
+    allowed[POSITION, POSITION] = 100.0 / 6.37e6
+    assert (abs(coordinates.remaining(dx) - measured) < allowed).all()
 
 
 @pytest.mark.parametrize("velocity_frame", ["body", "nav"])

@@ -9,7 +9,10 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
+from insdvl.navigation.coordinates import attitude_error
+from insdvl.navigation.error_state import ATTITUDE
 from insdvl.navigation.events import NS, Imu, Initial
 from insdvl.navigation.geometry.earth import EARTH_RATE, gravity
 from insdvl.navigation.geometry.frames import rotation_from_rpy
@@ -17,7 +20,6 @@ from insdvl.navigation.parameters import (
     FilterParameters,
     InitialParameters,
     OriginParameters,
-    ProcessNoiseParameters,
 )
 from insdvl.navigation.start import gyrocompass
 from insdvl.navigation.start.gyrocompass import (
@@ -31,7 +33,8 @@ from insdvl.navigation.start.gyrocompass import (
 from insdvl.navigation.state import State
 from insdvl.parameters.declaration import ParameterError
 from insdvl.simulation.grades import GRADES, Grade
-from insdvl.studies.consistency.flights import Case
+from insdvl.studies.consistency.errors import squared
+from insdvl.studies.consistency.flights import Case, flown, process_noise_of
 from insdvl.studies.consistency.gyrocompassing import DEPARTURE, Departure, depart, rocked
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.recorded import fold_arrays
@@ -73,15 +76,9 @@ def test_the_jacobian_is_that_of_the_attitude(rpy: tuple[float, float, float]) -
 
 
 def settings(grade: Grade, **initial: object) -> FilterParameters:
-    variances = grade.variances(float(RATE)).tolist()
     return FilterParameters(
         frame_convention="ned",
-        process_noise=ProcessNoiseParameters(
-            accelerometer_variance=tuple(variances[:3]),
-            gyroscope_variance=tuple(variances[3:]),
-            accelerometer_bias_walk=0.0,
-            gyroscope_bias_walk=0.0,
-        ),
+        process_noise=process_noise_of(grade),
         initial=InitialParameters(
             mode="gyrocompassing",
             rpy=(0.0, 0.0, -0.5),
@@ -280,12 +277,24 @@ CASES = [
 
 @pytest.mark.parametrize("case", CASES, ids=["45", "100"])
 def test_attitude_and_biases_are_as_good_as_they_say(case: Case) -> None:
-    """Without gyrocompassing the attitude's NEES per degree of freedom is about 4."""
     found = departures(replace(case, duration=SHORT), SHORT_RUNS)
     assert {d.compass for d in found} == {FOUND}
     assert 0.4 < mean_nees(found, "attitude") < 2.5
     assert 0.4 < mean_nees(found, "biases") < 2.5
     assert max(abs(d.errors.heading_deg[0]) for d in found) < 5.0 * 0.12
+
+
+def test_without_it_a_wrong_heading_is_found_as_well_as_it_says() -> None:
+    """Told with 45 deg, one sigma: one draw per run, so the mean is chi-square by its number."""
+    nees = []
+    for k in range(SHORT_RUNS):
+        run = flown(CASES[0], SEED + k)
+        nav = run.states["nav"]
+        psi = attitude_error(nav, run.truth.C_n_b, invariant=True)
+        nees.append(squared(psi, nav["P"][:, ATTITUDE, ATTITUDE]).mean())
+        assert np.sqrt(nav["P"][-1, 5, 5]) < np.radians(1.0)
+    low, high = chi2.ppf([0.0005, 0.9995], 3 * SHORT_RUNS)
+    assert low < sum(nees) < high
 
 
 @pytest.mark.parametrize("period", [5.0, 10.0])

@@ -157,6 +157,37 @@ def test_covariances_are_of_the_numbers_published(model, convention):
         np.testing.assert_array_equal(covariance, covariance.T)
 
 
+@pytest.mark.parametrize("heading_std_deg", [5.0, 60.0])
+def test_the_position_covariance_is_the_second_moment_of_a_cloud(heading_std_deg):
+    """Errors of heading, tilt and dp_i through the definition, about the published position.
+
+    Each moment is within five of its standard errors, a few percent of it.
+    """
+    rng, draws = np.random.default_rng(81), 100_000
+    sigma = np.array([0.02, 0.02, np.radians(heading_std_deg), 3.0, 3.0, 1.0])
+    filter_ = filter_of("invariant", "ned")
+    nominal, _ = nominal_and_covariance()
+    nominal["llh"] = moved(R_LLH, [800.0, -600.0, 20.0])
+    states = states_with(filter_, nominal, np.zeros((15, 15)))
+    errors = np.r_[ATTITUDE, POSITION]
+    states[0]["nav"]["P"][errors, errors] = sigma**2
+    out = odometry(filter_, states, 0)
+
+    base = moved(nominal["llh"], -nominal["C_n_b"] @ ARM)
+    x_n = displacements(R_LLH, base)
+    draw = sigma * rng.standard_normal((draws, 6))
+    tilt, heading = draw[:, :3] * [1.0, 1.0, 0.0], draw[:, :3] * [0.0, 0.0, 1.0]
+    d_n = Rotation.from_rotvec(tilt).apply(x_n) + draw[:, 3:]
+    d_n = Rotation.from_rotvec(heading).apply(d_n) - x_n
+    error = odom.in_odom(np.array([moved(base, d) for d in d_n]), ORIGIN)[0] - out.position
+    of_pose = np.column_stack([error, draw[:, 2]])
+    products = of_pose[:, :, None] * of_pose[:, None, :]
+    found = out.pose_covariance[np.ix_([0, 1, 2, 5], [0, 1, 2, 5])]
+    standard_error = products.std(axis=0) / np.sqrt(draws)
+    assert (abs(products.mean(axis=0) - found) < 5.0 * standard_error).all()
+    assert (standard_error[:2, :2].max() / products[:, :2, :2].mean(axis=0).max()) < 0.02
+
+
 @pytest.mark.parametrize("convention", ["enu", "ned"])
 def test_both_models_publish_the_same(convention):
     """As long as the heading is so certain that an arc is a line."""

@@ -17,13 +17,13 @@ from insdvl.navigation.parameters import (
     FilterParameters,
     InitialParameters,
     OriginParameters,
-    ProcessNoiseParameters,
 )
 from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.grades import GRADES
 from insdvl.simulation.mission import simulate
 from insdvl.simulation.motion import Channel, Ramp, Trajectory, Wave
 from insdvl.simulation.noise import constant
+from insdvl.studies.consistency.flights import process_noise_of
 from insdvl.timeline.recorded import fold_arrays
 
 #: Near the surface, in waves of 5 to 7 s, with turns.
@@ -51,9 +51,7 @@ def ratios(monkeypatch: pytest.MonkeyPatch, seed: int, late: float = 0.0) -> Arr
     dvl = DvlModel(
         lever_arm=ARM, noise_std=(WHITE,) * 3, bias_std=SLOW, bias_time_constant=TIME_CONSTANT
     )
-    variances = tuple(map(float, GRADE.variances()))
     mission = simulate(WAVES, constant(GRADE.variances()), seed=seed, imu=GRADE.imu(), dvl=dvl)
-    walks = GRADE.imu()
     parameters = FilterParameters(
         frame_convention="ned",
         dvl=DvlParameters(
@@ -63,12 +61,7 @@ def ratios(monkeypatch: pytest.MonkeyPatch, seed: int, late: float = 0.0) -> Arr
             bias_std=(SLOW,) * 3,
             bias_time_constant=TIME_CONSTANT,
         ),
-        process_noise=ProcessNoiseParameters(
-            accelerometer_variance=variances[:3],
-            gyroscope_variance=variances[3:],
-            accelerometer_bias_walk=walks.accelerometer_bias_walk,
-            gyroscope_bias_walk=walks.gyroscope_bias_walk,
-        ),
+        process_noise=process_noise_of(GRADE),
         initial=InitialParameters(
             mode="set_odometry",
             accelerometer_bias_std=GRADE.accelerometer_bias,

@@ -16,13 +16,13 @@ from insdvl.navigation.parameters import (
     FilterParameters,
     InitialParameters,
     OriginParameters,
-    ProcessNoiseParameters,
 )
 from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.grades import GRADES
 from insdvl.simulation.mission import simulate
 from insdvl.simulation.noise import constant
 from insdvl.simulation.trajectories import Channel, Ramp, Trajectory
+from insdvl.studies.consistency.flights import process_noise_of
 from insdvl.timeline.recorded import fold_arrays
 
 ARM, DVL_STD = (1.5, 0.0, 0.0), 0.02
@@ -38,17 +38,10 @@ FIRST_SEED = 2_718
 
 
 def parameters_of(grade):
-    variances = tuple(map(float, grade.variances()))
-    imu = grade.imu()
     return FilterParameters(
         frame_convention="ned",
         dvl=DvlParameters(noise_std=(DVL_STD,) * 3, lever_arm=ARM),
-        process_noise=ProcessNoiseParameters(
-            accelerometer_variance=variances[:3],
-            gyroscope_variance=variances[3:],
-            accelerometer_bias_walk=imu.accelerometer_bias_walk,
-            gyroscope_bias_walk=imu.gyroscope_bias_walk,
-        ),
+        process_noise=process_noise_of(grade),
         initial=InitialParameters(
             mode="set_odometry",
             accelerometer_bias_std=grade.accelerometer_bias,

@@ -3,10 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array, Records
-from insdvl.navigation.coordinates import body_velocity_jacobian
+from insdvl.navigation.coordinates import attitude_error, body_velocity_jacobian
 from insdvl.navigation.error_state import ATTITUDE
 from insdvl.navigation.filter import Filter
 from insdvl.simulation.mission import Mission
@@ -19,7 +18,7 @@ class Errors:
     """Errors at times (K,) of one run; each NEES is per degree of freedom.
 
     Attributes:
-        attitude: NEES of the rotation error, 3 degrees of freedom.
+        attitude: NEES of the error in the coordinates of the model, 3 degrees of freedom.
         heading: NEES of its third component.
         velocity: NEES of the velocity in body axes, 3 degrees of freedom.
         biases: NEES of both triads, 6 degrees of freedom.
@@ -45,12 +44,11 @@ def errors(filter_: Filter, states: Records, mission: Mission, rows: Array) -> E
         rows: (K,) rows of the mission at which the states are.
     """
     nav, truth = states["nav"], mission.truth
-    turn = truth.C_n_b[rows] @ np.swapaxes(nav["C_n_b"], 1, 2)
-    psi = Rotation.from_matrix(turn).as_rotvec()
+    invariant, n = filter_.vehicle.invariant, filter_.n
+    psi = attitude_error(nav, truth.C_n_b[rows], invariant=invariant)
     P = filter_.covariance(states)
     v_b = np.einsum("kji,kj->ki", truth.C_n_b[rows], truth.v_n[rows])
     v_b -= np.einsum("kji,kj->ki", nav["C_n_b"], nav["v_n"])
-    invariant, n = filter_.vehicle.invariant, filter_.n
     J = np.array(
         [
             body_velocity_jacobian(C, v, invariant=invariant, n=n)

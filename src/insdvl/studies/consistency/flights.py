@@ -163,9 +163,20 @@ class Flight:
 EventSource = Callable[[Mission, np.random.Generator], Sequence[Event]]
 
 
+def process_noise_of(grade: Grade) -> ProcessNoiseParameters:
+    """The noise of a grade at `RATE`, whose biases do not walk."""
+    variances = grade.variances(RATE).tolist()
+    return ProcessNoiseParameters(
+        accelerometer_variance=tuple(variances[:3]),
+        gyroscope_variance=tuple(variances[3:]),
+        accelerometer_bias_walk=0.0,
+        gyroscope_bias_walk=0.0,
+    )
+
+
 def parameters(case: Case) -> FilterParameters:
     """The filter of a case: it knows all sigmas, and starts on the initial state it is given."""
-    grade, variances = case.grade, case.grade.variances(RATE).tolist()
+    grade = case.grade
     return FilterParameters(
         frame_convention="ned",
         error_state=case.error_state,
@@ -173,12 +184,7 @@ def parameters(case: Case) -> FilterParameters:
         imu=ImuParameters(rate=RATE),
         dvl=DvlParameters(noise_std=(case.dvl_std,) * 3),
         gate=GateParameters(enabled=False),
-        process_noise=ProcessNoiseParameters(
-            accelerometer_variance=tuple(variances[:3]),
-            gyroscope_variance=tuple(variances[3:]),
-            accelerometer_bias_walk=0.0,
-            gyroscope_bias_walk=0.0,
-        ),
+        process_noise=process_noise_of(grade),
         initial=InitialParameters(
             mode="set_odometry",
             heading_std=math.radians(case.heading_std_deg),

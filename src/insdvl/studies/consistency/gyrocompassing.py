@@ -15,7 +15,7 @@ from insdvl.studies.consistency.errors import Errors, errors
 from insdvl.studies.consistency.flights import RATE, TRANSIT, Case, parameters
 from insdvl.timeline.recorded import fold_arrays
 
-#: At rest for 110 s, then out with turns, 600 s in all.
+#: At rest for 150 s, then out with turns, 600 s in all.
 DEPARTURE = Trajectory(
     duration=600.0,
     speed=Channel(ramps=(Ramp(150.0, 170.0, 1.8),)),
