@@ -280,7 +280,7 @@ CASES = [
 
 @pytest.mark.parametrize("case", CASES, ids=["45", "100"])
 def test_attitude_and_biases_are_as_good_as_they_say(case: Case) -> None:
-    """Without gyrocompassing the attitude's NEES per degree of freedom is about 4."""
+    """Limits of five short runs; all errors at the start are within five sigmas."""
     found = departures(replace(case, duration=SHORT), SHORT_RUNS)
     assert {d.compass for d in found} == {FOUND}
     assert 0.4 < mean_nees(found, "attitude") < 2.5
