@@ -11,8 +11,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from insdvl.navigation.coordinates import attitude_error
-from insdvl.navigation.error_state import ATTITUDE
 from insdvl.navigation.events import NS, Imu, Initial
 from insdvl.navigation.geometry.earth import EARTH_RATE, gravity
 from insdvl.navigation.geometry.frames import rotation_from_rpy
@@ -33,7 +31,7 @@ from insdvl.navigation.start.gyrocompass import (
 from insdvl.navigation.state import State
 from insdvl.parameters.declaration import ParameterError
 from insdvl.simulation.grades import GRADES, Grade
-from insdvl.studies.consistency.errors import squared
+from insdvl.studies.consistency.errors import heading_sigma_deg, nees
 from insdvl.studies.consistency.flights import Case, flown, process_noise_of
 from insdvl.studies.consistency.gyrocompassing import DEPARTURE, Departure, depart, rocked
 from insdvl.timeline.fold import Fold
@@ -266,7 +264,7 @@ def departures(case: Case, runs: int) -> list[Departure]:
 
 def mean_nees(found: list[Departure], name: str) -> float:
     """Per degree of freedom, over all runs and seconds."""
-    return float(np.mean([getattr(d.errors, name) for d in found]))
+    return float(np.mean([d.nees[name] for d in found]))
 
 
 CASES = [
@@ -277,24 +275,23 @@ CASES = [
 
 @pytest.mark.parametrize("case", CASES, ids=["45", "100"])
 def test_attitude_and_biases_are_as_good_as_they_say(case: Case) -> None:
+    """Limits of five short runs; all errors at the start are within five sigmas."""
     found = departures(replace(case, duration=SHORT), SHORT_RUNS)
     assert {d.compass for d in found} == {FOUND}
     assert 0.4 < mean_nees(found, "attitude") < 2.5
     assert 0.4 < mean_nees(found, "biases") < 2.5
-    assert max(abs(d.errors.heading_deg[0]) for d in found) < 5.0 * 0.12
+    assert max(abs(d.heading_deg[0]) for d in found) < 5.0 * 0.12
 
 
 def test_without_it_a_wrong_heading_is_found_as_well_as_it_says() -> None:
     """Told with 45 deg, one sigma: one draw per run, so the mean is chi-square by its number."""
-    nees = []
+    found = []
     for k in range(SHORT_RUNS):
         run = flown(CASES[0], SEED + k)
-        nav = run.states["nav"]
-        psi = attitude_error(nav, run.truth.C_n_b, invariant=True)
-        nees.append(squared(psi, nav["P"][:, ATTITUDE, ATTITUDE]).mean())
-        assert np.sqrt(nav["P"][-1, 5, 5]) < np.radians(1.0)
+        found.append(3.0 * nees(run)["attitude"].mean())
+        assert heading_sigma_deg(run)[-1] < 1.0
     low, high = chi2.ppf([0.0005, 0.9995], 3 * SHORT_RUNS)
-    assert low < sum(nees) < high
+    assert low < sum(found) < high
 
 
 @pytest.mark.parametrize("period", [5.0, 10.0])
@@ -304,7 +301,7 @@ def test_a_rocked_vehicle_starts_with_what_is_told(case: Case, period: float) ->
     for d in departures(moved, 2):
         assert d.compass == MOVES
         assert d.start < 3.0
-        sigma = d.errors.heading_sigma_deg[0]
+        sigma = d.heading_sigma_deg[0]
         assert sigma == pytest.approx(case.heading_std_deg)
 
 
@@ -313,7 +310,7 @@ def test_a_rocked_vehicle_starts_with_what_is_told(case: Case, period: float) ->
 def test_100_departures(case: Case) -> None:
     found = departures(case, RUNS)
     attitude, biases = mean_nees(found, "attitude"), mean_nees(found, "biases")
-    at_start = np.sqrt(np.mean([d.errors.heading_deg[0] ** 2 for d in found]))
+    at_start = np.sqrt(np.mean([d.heading_deg[0] ** 2 for d in found]))
     print(f"NEES attitude {attitude:.2f}, biases {biases:.2f}, heading {at_start:.3f} deg")
     assert {d.compass for d in found} == {FOUND}
     assert 0.7 < attitude < 1.4

@@ -3,26 +3,28 @@
 Statistics of `insdvl.studies.consistency.outage`; seeds were chosen before the first run.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 import pytest
 
+from insdvl.arrays import Array
 from insdvl.simulation.grades import GRADES
-from insdvl.studies.consistency.errors import Errors
 from insdvl.studies.consistency.flights import Case
-from insdvl.studies.consistency.outage import fly_through_outage
+from insdvl.studies.consistency.outage import outage_run
 
 SEED = 92_000
 RUNS, SHORT_RUNS = 100, 6
 
 
-def flights(heading_std_deg: float, runs: int) -> list[Errors]:
+def flights(heading_std_deg: float, runs: int) -> list[Mapping[str, Array]]:
     case = Case(GRADES["mems"], heading_std_deg)
-    return [fly_through_outage(case, SEED + k) for k in range(runs)]
+    return [outage_run(case, SEED + k) for k in range(runs)]
 
 
-def nees(found: list[Errors], name: str) -> np.ndarray:
+def nees(found: list[Mapping[str, Array]], name: str) -> np.ndarray:
     """(K,) mean over the runs at each second behind the outage."""
-    return np.mean([getattr(errors, name) for errors in found], axis=0)
+    return np.mean([run[name] for run in found], axis=0)
 
 
 def test_attitude_and_velocity_behind_an_outage() -> None:

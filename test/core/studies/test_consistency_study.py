@@ -20,14 +20,14 @@ from insdvl.navigation.events import Initial
 from insdvl.navigation.filter import Filter
 from insdvl.navigation.measurements.dvl import DvlParameters
 from insdvl.simulation.motion import Truth
-from insdvl.studies.consistency import position, sensitivity, table
-from insdvl.studies.consistency.blocks import ALL, BLOCKS, degrees_of_freedom, errors, squared
+from insdvl.studies.consistency import gyrocompassing, outage, position, sensitivity, table
 from insdvl.studies.consistency.command import documents
-from insdvl.studies.consistency.flights import Flown, flown, parameters
+from insdvl.studies.consistency.errors import ALL, BLOCKS, Flown, band, errors, nees
+from insdvl.studies.consistency.flights import flown, parameters
 from insdvl.studies.consistency.mission import PATROL
 from insdvl.studies.consistency.page import STUDIES, consistency_page
 from insdvl.studies.consistency.study import seeds
-from insdvl.studies.consistency.table import LEVELS, Cell, band, block_run, cells
+from insdvl.studies.consistency.table import LEVELS, Cell, block_run, cells
 
 RESULTS = Path(__file__).parents[3] / "docs" / "results"
 SEED = 96_000
@@ -45,15 +45,15 @@ def judge(flown_cells: Sequence[Cell], duration: float) -> None:
         ]
         for cell in flown_cells
     ]
-    nees = np.array([[run["nees"] for run in of_cell] for of_cell in flights])
+    of_runs = np.array([[run["nees"] for run in of_cell] for of_cell in flights])
     inside = np.array([[run["inside"] for run in of_cell] for of_cell in flights])
     runs = len(flown_cells) * RUNS
     chance = FALSE_ALARM / (len(ALL) * (len(flown_cells) + 1 + len(LEVELS)))
     wrong = []
     for i, block in enumerate(ALL):
-        of_cells = nees[..., i].mean(axis=1).tolist()
+        of_cells = of_runs[..., i].mean(axis=1).tolist()
         means = {cell.name: (mean, RUNS) for cell, mean in zip(flown_cells, of_cells, strict=True)}
-        means["all cells"] = float(nees[..., i].mean()), runs
+        means["all cells"] = float(of_runs[..., i].mean()), runs
         for name, (mean, count) in means.items():
             low, high = band(block, count, 1.0 - chance)
             if not low <= mean <= high:
@@ -62,7 +62,7 @@ def judge(flown_cells: Sequence[Cell], duration: float) -> None:
             covered, least = float(inside[..., i, k].mean()), binom.ppf(chance, runs, level) / runs
             if covered < least:
                 wrong.append(f"{block}: {covered:.3f} inside {level}, less than {least:.3f}")
-    print(np.round(nees.mean(axis=1), 2))
+    print(np.round(of_runs.mean(axis=1), 2))
     assert wrong == []
 
 
@@ -77,13 +77,13 @@ def test_every_cell_of_the_table_is_as_good_as_it_says() -> None:
 
 def test_a_filter_that_is_told_too_little_noise_is_found_out() -> None:
     """A quarter of the DVL's sigma: the velocity is outside of the limits above."""
-    cell, nees = SHORT[0], []
+    cell, of_runs = SHORT[0], []
     case = replace(cell.case(), duration=300.0)
     told = DvlParameters(noise_std=(case.dvl_std / 4.0,) * 3)
     for seed in seeds(SEED, RUNS, *cell.key).values():
         run = flown(case, seed, settings=replace(parameters(case), dvl=told))
-        nees.append(np.mean(squared(run)["velocity"]) / degrees_of_freedom("velocity"))
-    assert np.mean(nees) > band("velocity", RUNS, 1.0 - FALSE_ALARM / 100.0)[1]
+        of_runs.append(np.mean(nees(run)["velocity"]))
+    assert np.mean(of_runs) > band("velocity", RUNS, 1.0 - FALSE_ALARM / 100.0)[1]
 
 
 @pytest.mark.parametrize("form", ["invariant", "ned"])
@@ -140,6 +140,9 @@ def test_the_page_in_docs_is_the_one_of_its_numbers() -> None:
     assert (RESULTS / "consistency.md").read_text() == consistency_page(found)
     assert len(found["blocks"]["cells"]) == len(cells())
     assert len(found["position"]["rows"]) == len(position.ROWS)
+    assert len(found["outage"]["rows"]) == len(outage.HEADINGS)
+    rows = [row["row"] for row in found["gyrocompassing"]["rows"]]
+    assert rows == list(gyrocompassing.rows())
 
 
 @pytest.fixture
@@ -151,6 +154,12 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     short = [replace(row, case=replace(row.case, duration=12.0)) for row in rows]
     monkeypatch.setattr(position, "ROWS", tuple(short))
     monkeypatch.setattr(position, "FIRST", 5)
+    monkeypatch.setattr(outage, "BEGIN", 4.0)
+    monkeypatch.setattr(outage, "END", 6.0)
+    monkeypatch.setattr(outage, "AFTER", 4.0)
+    left = {name: replace(case, duration=62.0) for name, case in gyrocompassing.rows().items()}
+    pair = dict([*left.items()][:3:2])  # the heading is found in one of them
+    monkeypatch.setattr(gyrocompassing, "rows", lambda *, quick=False: pair)
     grades = {"fog": table.GRADES["fog"]}
     monkeypatch.setattr(sensitivity, "GRADES", grades)
     monkeypatch.setattr(sensitivity, "DURATION", 3.0)
@@ -173,13 +182,22 @@ def test_the_command_writes_page_and_numbers(tmp_path: Path) -> None:
         assert cell["blocks"][block]["worst_nees"] == pytest.approx(max(of_runs), abs=1e-4)
     first, second = studies["position"]["rows"]
     assert first["ratio"] == [1.0, 1.0, 1.0] and second["ratio"][0] > 0.0
+    for row in studies["outage"]["rows"]:
+        velocity = row["blocks"]["velocity"]
+        assert len(velocity["nees_of_seconds"]) == 5
+        assert velocity["nees"][0] == pytest.approx(np.mean(velocity["nees_of_seconds"]), abs=1e-4)
+        assert velocity["largest"] == pytest.approx(max(velocity["nees_of_seconds"]), abs=1e-4)
+    still, moved = studies["gyrocompassing"]["rows"]
+    assert (still["found"], moved["found"]) == (2, 0)
+    assert still["heading_sigma_deg"] < 0.2 < moved["heading_sigma_deg"]
     assert [path.name for path in (tmp_path / "a").iterdir() if path.is_dir()] == []
 
     # The same seed gives the same numbers; a single study keeps those of the others.
     assert consistency(tmp_path / "b", "--studies", "blocks") == 0
     text = (tmp_path / "b" / "consistency.md").read_text()
-    assert "Not computed: position." in text and "Not computed: sensitivity." in text
-    assert consistency(tmp_path / "b", "--studies", "position,sensitivity") == 0
+    others = [study.name for study in STUDIES if study.name != "blocks"]
+    assert all(f"Not computed: {name}." in text for name in others)
+    assert consistency(tmp_path / "b", "--studies", ",".join(others)) == 0
     assert (tmp_path / "b" / "consistency.json").read_text() == numbers
     assert consistency(tmp_path / "b", "--studies", "none") == 0
     assert (tmp_path / "b" / "consistency.md").read_text() == page

@@ -1,4 +1,4 @@
-"""A mission whose initial error is drawn from P_0, and the errors of the filter's position in it.
+"""A mission whose initial error is drawn from P_0, flown by the filter.
 
 All runs of a case differ in their random numbers only, and two cases of the same seed differ in
 what they declare only: noise, biases and the unit normal numbers of the initial error are the same.
@@ -13,12 +13,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from insdvl.arrays import Array, Records
+from insdvl.arrays import Array
 from insdvl.navigation.channels import ImuParameters
-from insdvl.navigation.coordinates import attitude_error, position_error
 from insdvl.navigation.error_state import HORIZONTAL_POSITION
 from insdvl.navigation.events import Event, Initial
-from insdvl.navigation.filter import Filter
 from insdvl.navigation.gate import GateParameters
 from insdvl.navigation.geometry.odom import place_of
 from insdvl.navigation.measurements.dvl import Dvl, DvlParameters
@@ -31,6 +29,8 @@ from insdvl.simulation.grades import Grade
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.motion import Channel, Ramp, Trajectory, Truth, Wave
 from insdvl.simulation.noise import constant
+from insdvl.studies.consistency.errors import Flown, errors, heading_deg, heading_sigma_deg
+from insdvl.studies.evaluation import metrics
 from insdvl.timeline.recorded import fold_arrays
 
 #: An AUV that goes out and comes part of the way back: 1.08 km in 600 s, at most 0.6 km away.
@@ -104,6 +104,7 @@ class Case:
         error_state: Of the filter.
         trajectory: The motion.
         latitude_deg: Of the origin of odom.
+        silence: Of the DVL, from begin to end [s].
     """
 
     grade: Grade
@@ -118,28 +119,12 @@ class Case:
     error_state: str = "invariant"
     trajectory: Trajectory = TRANSIT
     latitude_deg: float = math.degrees(TRANSIT.lat_0)
+    silence: tuple[float, float] = (0.0, 0.0)
 
     @property
     def origin(self) -> Array:
         """Origin of odom (3,): latitude, longitude [rad], height [m]."""
         return np.array([math.radians(self.latitude_deg), TRANSIT.lon_0, TRANSIT.h_0])
-
-
-@dataclass(frozen=True)
-class Flown:
-    """Filter and truth at every full second (K,) of one run.
-
-    Attributes:
-        filter: The filter.
-        states: (K,) its states.
-        truth: The truth at their stamps.
-        bias: (K, 6) true biases, f, then w.
-    """
-
-    filter: Filter
-    states: Records
-    truth: Truth
-    bias: Array
 
 
 @dataclass(frozen=True)
@@ -151,12 +136,14 @@ class Flight:
         inside: Whether the true position is inside the published ellipse of `ELLIPSE`.
         error: Horizontal distance from the true position [m].
         heading_deg: Error of the heading, within +-180.
+        heading_sigma_deg: What the filter says of it, one sigma.
     """
 
     nees: Array
     inside: Array
     error: Array
     heading_deg: Array
+    heading_sigma_deg: Array
 
 
 #: Makes further events of a run, from its mission and a generator of its own.
@@ -217,10 +204,55 @@ def initial_state(case: Case, truth: Truth, rng: np.random.Generator) -> Initial
     )
 
 
-def counted_from(mission: Mission, origin: Array) -> Mission:
-    """The mission in an odom with another origin (3,)."""
-    truth, initial = (part.in_odom_at(origin) for part in (mission.truth, mission.initial))
+def mission_of(case: Case, seed: int) -> Mission:
+    """The mission of a run, in the odom of the case."""
+    mission = simulate(
+        trajectory_from(case),
+        constant(case.grade.variances(RATE)),
+        seed=seed,
+        duration=case.duration,
+        imu=case.grade.imu(RATE),
+        dvl=DvlModel(rate=case.dvl_rate, noise_std=(case.dvl_std,) * 3, outages=case.silence),
+        earth_rate=case.earth_rate,
+    )
+    truth, initial = (part.in_odom_at(case.origin) for part in (mission.truth, mission.initial))
     return replace(mission, truth=truth, initial=initial)
+
+
+def folded(
+    mission: Mission,
+    settings: FilterParameters,
+    events: Sequence[Event],
+    *,
+    from_start: bool = False,
+) -> Flown:
+    """The filter in a mission, with its DVL and with further events.
+
+    Args:
+        mission: The mission.
+        settings: Of the filter.
+        events: All but IMU and DVL.
+        from_start: Whether the states that are kept are the first of the initialised filter and
+            those of each second from there on; otherwise those of every full second.
+    """
+    pings = zip(mission.dvl_stamps_ns.tolist(), mission.v_d, strict=True)
+    result = fold_arrays(
+        settings,
+        mission.stamps_ns,
+        mission.f_b,
+        mission.w_ib_b,
+        [*(Dvl(stamp_ns, v_d) for stamp_ns, v_d in pings), *events],
+    )
+    second = round(RATE)
+    first = second - 1
+    if from_start:
+        first = int(np.argmax(result.states["nav"]["initialised"]))
+    at = slice(first, None, second)
+    states, filter_ = result.states[at].copy(), result.filter
+    truth = Truth(**{name: array[at] for name, array in vars(mission.truth).items()})
+    del result
+    gc.collect()  # a fold refers to itself, and its records take 0.3 MB per second
+    return Flown(filter_, states, truth, mission.bias[at])
 
 
 def flown(
@@ -230,7 +262,7 @@ def flown(
     settings: FilterParameters | None = None,
     events: EventSource | None = None,
 ) -> Flown:
-    """One run of a case, flown by the filter.
+    """One run of a case, flown by the filter; states are those of every full second.
 
     Args:
         case: What is flown.
@@ -239,33 +271,10 @@ def flown(
         events: Further events, such as measurements of these sensors; their mission is counted
             from the origin of odom.
     """
-    mission = simulate(
-        trajectory_from(case),
-        constant(case.grade.variances(RATE)),
-        seed=seed,
-        duration=case.duration,
-        imu=case.grade.imu(RATE),
-        dvl=DvlModel(rate=case.dvl_rate, noise_std=(case.dvl_std,) * 3),
-        earth_rate=case.earth_rate,
-    )
-    mission = counted_from(mission, case.origin)
+    mission = mission_of(case, seed)
     initial = initial_state(case, mission.initial, np.random.default_rng([seed, _INITIAL]))
     more = events(mission, np.random.default_rng([seed, _EVENTS])) if events else ()
-    pings = zip(mission.dvl_stamps_ns.tolist(), mission.v_d, strict=True)
-    result = fold_arrays(
-        settings or parameters(case),
-        mission.stamps_ns,
-        mission.f_b,
-        mission.w_ib_b,
-        [initial, *(Dvl(stamp_ns, v_d) for stamp_ns, v_d in pings), *more],
-    )
-    second = round(RATE)
-    at = slice(second - 1, None, second)
-    states, filter_ = result.states[at].copy(), result.filter
-    truth = Truth(**{name: array[at] for name, array in vars(mission.truth).items()})
-    del result
-    gc.collect()  # a fold refers to itself, and its records take 0.3 MB per second
-    return Flown(filter_, states, truth, mission.bias[at])
+    return folded(mission, settings or parameters(case), [initial, *more])
 
 
 def fly(
@@ -277,18 +286,16 @@ def fly(
 ) -> Flight:
     """Errors of the position in one run of a case; the arguments are those of `flown`."""
     run = flown(case, seed, settings=settings, events=events)
-    truth, nav, invariant = run.truth, run.states["nav"], run.filter.vehicle.invariant
-    e = position_error(nav, truth.C_n_b, truth.llh, invariant=invariant)[:, :2]
-    psi = attitude_error(nav, truth.C_n_b, invariant=invariant)
-    P = nav["P"][:, HORIZONTAL_POSITION, HORIZONTAL_POSITION]
+    P = run.filter.covariance(run.states)[:, HORIZONTAL_POSITION, HORIZONTAL_POSITION]
     published = [odometry(run.filter, run.states, k) for k in range(len(run.states))]
-    d = truth.p_o[:, :2] - np.array([o.position[:2] for o in published])
+    d = run.truth.p_o[:, :2] - np.array([o.position[:2] for o in published])
     covariance = np.array([o.pose_covariance[:2, :2] for o in published])
     return Flight(
-        nees=_squared(e, P) / 2.0,
-        inside=_squared(d, covariance) <= chi2.ppf(ELLIPSE, 2),
+        nees=metrics.nees(errors(run)[:, HORIZONTAL_POSITION], P) / 2.0,
+        inside=metrics.nees(d, covariance) <= chi2.ppf(ELLIPSE, 2),
         error=np.hypot(d[:, 0], d[:, 1]),
-        heading_deg=np.degrees(psi[:, 2]),
+        heading_deg=heading_deg(run),
+        heading_sigma_deg=heading_sigma_deg(run),
     )
 
 
@@ -299,8 +306,3 @@ def trajectory_from(case: Case) -> Trajectory:
         raise ValueError(f"start {case.start} is no place at which the filter navigates")
     lat, lon, height = place.tolist()
     return replace(case.trajectory, lat_0=lat, lon_0=lon, h_0=height)
-
-
-def _squared(e: Array, P: Array) -> Array:
-    """e^T P^-1 e of errors (K, m) and covariances (K, m, m)."""
-    return np.asarray(np.einsum("ki,ki->k", e, np.linalg.solve(P, e[..., None])[..., 0]))

@@ -49,12 +49,19 @@ ROWS = (
 
 
 def position_run(row: Row, seed: int) -> dict[str, Array]:
-    """A run of a row: ``nees`` and ``inside`` (), means from `FIRST` on; ``end`` () [m]."""
+    """A run of a row.
+
+    Returns:
+        ``nees`` and ``inside`` (), means from `FIRST` on; at the end of the run the error of the
+        position, ``end`` () [m], that of the heading, ``heading_deg`` (), and its ``sigma_deg`` ().
+    """
     flight = fly(row.case, seed)
     return {
         "nees": np.mean(flight.nees[FIRST - 1 :]),
         "inside": np.mean(flight.inside[FIRST - 1 :]),
         "end": flight.error[-1],
+        "heading_deg": flight.heading_deg[-1],
+        "sigma_deg": flight.heading_sigma_deg[-1],
     }
 
 
@@ -79,6 +86,8 @@ def study_position(extent: Extent, pool: Pool, store: Store | None = None) -> di
                 "inside": list(statistics.mean(of_runs["inside"], draws)),
                 "end_rms": np.sqrt(statistics.mean(square, draws)).tolist(),
                 "ratio": None if ratio is None else np.sqrt(ratio).tolist(),
+                "heading_rms_deg": _rms(of_runs["heading_deg"]),
+                "heading_sigma_deg": _rms(of_runs["sigma_deg"]),
                 "worst_run": int(np.argmax(of_runs["nees"])),
                 "worst_nees": float(np.max(of_runs["nees"])),
                 "of_runs": {name: np.round(a, 4).tolist() for name, a in of_runs.items()},
@@ -95,6 +104,10 @@ def study_position(extent: Extent, pool: Pool, store: Store | None = None) -> di
     }
 
 
+def _rms(a: Array) -> float:
+    return float(np.sqrt(np.mean(a**2)))
+
+
 def _section(document: Mapping[str, Any]) -> str:
     body = [
         [
@@ -103,6 +116,7 @@ def _section(document: Mapping[str, Any]) -> str:
             interval([100.0 * p for p in row["inside"]], 1),
             interval(row["end_rms"], 2),
             interval(row["ratio"], 2),
+            f"{number(row['heading_rms_deg'], 3)} / {number(row['heading_sigma_deg'], 3)}",
             f"{number(row['worst_nees'], 1)} ({row['worst_run']})",
         ]
         for row in document["rows"]
@@ -113,6 +127,7 @@ def _section(document: Mapping[str, Any]) -> str:
         f"inside {100 * document['ellipse']:g} % [%]",
         "end, rms [m]",
         "end / first row",
+        "heading at the end, rms / sigma [deg]",
         "worst NEES (run)",
     ]
     return _TEXT.format(**document) + "\n" + table(head, body)
@@ -123,7 +138,8 @@ _TEXT = """## Horizontal position, whatever the heading was
 Missions of {duration:g} s with the DVL at 1 Hz; {runs} runs of each row, seed {seed}, the same
 random numbers in all rows. NEES per degree of freedom and the published ellipse are of the time
 from {first} s on. Brackets hold 95 % intervals of a bootstrap over runs; the ratio of the errors at
-the end is of paired runs, where a row differs from the first in its heading only.
+the end is of paired runs, where a row differs from the first in its heading only. The last but one
+column is the heading at the end, rms over the runs of its error and of what the filter says of it.
 """
 
 POSITION_STUDY = Study("position", Path(__file__), study_position, _section)

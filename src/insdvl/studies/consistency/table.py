@@ -15,7 +15,7 @@ from insdvl.arrays import Array
 from insdvl.jobs.pool import Pool
 from insdvl.jobs.store import Store
 from insdvl.simulation.grades import GRADES
-from insdvl.studies.consistency.blocks import ALL, BLOCKS, degrees_of_freedom, squared
+from insdvl.studies.consistency.errors import ALL, BLOCKS, band, degrees_of_freedom, nees
 from insdvl.studies.consistency.flights import Case, flown
 from insdvl.studies.consistency.mission import PATROL
 from insdvl.studies.consistency.study import Extent, Study, seeds
@@ -32,6 +32,7 @@ TARGET, LIMIT = (0.8, 1.25), (0.7, 1.4)
 #: How many means of the table may be outside of the target.
 MAX_OUTSIDE = 2
 
+_DOF = {name: degrees_of_freedom(name) for name in ALL}
 _RUNS, _BOOTSTRAP = 3000, 3001  # keys of the random streams
 
 
@@ -84,24 +85,12 @@ def block_run(case: Case, seed: int) -> dict[str, Array]:
         ``nees`` (B,) mean over the run per degree of freedom, in the order of `ALL`; ``inside``
         (B, len(LEVELS)) the fraction of the run in which the truth is inside the region.
     """
-    found = squared(flown(case, seed))
-    dof = {name: degrees_of_freedom(name) for name in ALL}
+    found = nees(flown(case, seed))
+    region = {name: [chi2.ppf(p, dof) / dof for p in LEVELS] for name, dof in _DOF.items()}
     return {
-        "nees": np.array([np.mean(found[name]) / dof[name] for name in ALL]),
-        "inside": np.array(
-            [[np.mean(found[name] <= chi2.ppf(p, dof[name])) for p in LEVELS] for name in ALL]
-        ),
+        "nees": np.array([np.mean(found[name]) for name in ALL]),
+        "inside": np.array([[np.mean(found[name] <= r) for r in region[name]] for name in ALL]),
     }
-
-
-def band(block: str, runs: int, probability: float = 0.997) -> tuple[float, float]:
-    """Where the mean NEES per degree of freedom of a consistent filter is, with a probability.
-
-    It is that of errors which stay as they are throughout a run; of others the mean is nearer to 1.
-    """
-    dof = degrees_of_freedom(block) * runs
-    low, high = chi2.ppf([(1.0 - probability) / 2.0, (1.0 + probability) / 2.0], dof) / dof
-    return float(low), float(high)
 
 
 def study_blocks(extent: Extent, pool: Pool, store: Store | None = None) -> dict[str, Any]:
@@ -112,17 +101,17 @@ def study_blocks(extent: Extent, pool: Pool, store: Store | None = None) -> dict
     for cell in cells(quick=extent.quick):
         tasks = seeds(extent.seed, extent.runs, _RUNS, *cell.key)
         results = pool.compute(block_run, tasks, shared=cell.case(), store=store, label=cell.name)
-        nees = np.array([result["nees"] for result in results])
+        of_runs = np.array([result["nees"] for result in results])
         inside = np.mean([result["inside"] for result in results], axis=0)
         blocks = {}
         for i, name in enumerate(ALL):
-            worst = int(np.argmax(nees[:, i]))
+            worst = int(np.argmax(of_runs[:, i]))
             blocks[name] = {
-                "nees": list(statistics.mean(nees[:, i], draws)),
+                "nees": list(statistics.mean(of_runs[:, i], draws)),
                 "inside": inside[i].tolist(),
                 "worst_run": worst,
-                "worst_nees": float(nees[worst, i]),
-                "nees_of_runs": np.round(nees[:, i], 4).tolist(),
+                "worst_nees": float(of_runs[worst, i]),
+                "nees_of_runs": np.round(of_runs[:, i], 4).tolist(),
             }
         found.append(
             {
