@@ -83,6 +83,8 @@ RATE = 100.0
 #: Probability of the published ellipse.
 ELLIPSE = 0.95
 
+_DOWN = np.array([0.0, 0.0, 1.0])
+
 #: Streams of a run beside those of its mission.
 _INITIAL, _EVENTS = 1, 2
 
@@ -195,9 +197,11 @@ def initial_state(case: Case, truth: Truth, rng: np.random.Generator) -> Initial
     if case.uniform_heading:
         psi[2] = anything
     C = truth.C_n_b[0]
+    # C_true = R_h R_t C, as the error state has it; for a small heading error exp([psi x]) C.
+    turn = Rotation.from_rotvec(psi * _DOWN) * Rotation.from_rotvec(psi * (1.0 - _DOWN))
     return Initial(
         stamp_ns=0,
-        C_o_b=Rotation.from_rotvec(psi).as_matrix().T @ truth.C_o_b[0],
+        C_o_b=turn.as_matrix().T @ truth.C_o_b[0],
         p_o=truth.p_o[0] - case.position_std * rng.standard_normal(3),
         v=C.T @ truth.v_n[0] - sigma.velocity_std * rng.standard_normal(3),
         velocity_frame="body",
