@@ -3,6 +3,7 @@
 # make test-all     run all tests, the long ones included, 40 minutes
 # make test-jazzy   run all tests with the library versions of ROS 2 Jazzy; needs Python 3.12
 # make results      recompute docs/results.md, about an hour; ARGS="--recordings DIR --config FILE"
+# make consistency  fly docs/results/consistency.md again, about 50 minutes on two quiet cores
 # make faults       fly the fault matrix of docs/reliability.md again, about half an hour
 # make soak         add an hour of mission to the soak there; ARGS="--hours 2"
 # make clean        remove what set-up and builds made
@@ -21,14 +22,14 @@ PYTEST := pytest -n 2 --dist loadfile
 SOURCES := $(shell find src ros_insdvl ros_insdvl_sim models tools/build.sh tools/warm.py \
 	-name __pycache__ -prune -o -name '*.egg-info' -prune -o -print)
 
-.PHONY: demo test test-all test-jazzy results faults soak clean
+.PHONY: demo test test-all test-jazzy results consistency faults soak clean
 .DELETE_ON_ERROR:
 
 demo: .venv/.built
 	AMENT_PREFIX_PATH=$(CURDIR)/.venv .venv/lib/ros_insdvl_sim/demo $(ARGS)
 
-results: .venv/.built
-	.venv/bin/insdvl results $(ARGS)
+results consistency: .venv/.built
+	.venv/bin/insdvl $@ $(ARGS)
 
 faults soak: .venv/.built
 	AMENT_PREFIX_PATH=$(CURDIR)/.venv .venv/lib/ros_insdvl_sim/$@ $(ARGS)

@@ -35,7 +35,7 @@ from insdvl.timeline.recorded import fold_arrays
 SEED = 20_261
 DURATION = 120.0  # s
 
-NAV = ("C_n_b", "v_n", "p_n", "b_f", "b_w", "w_nb_b")
+NAV = ("C_n_b", "v_n", "llh", "b_f", "b_w", "w_nb_b")
 NOISE = ("Q_f", "Q_w")
 
 
@@ -76,7 +76,7 @@ def start_of(mission: Mission) -> Initial:
     """The true state at the start, with the parameters' sigmas."""
     truth = mission.initial
     C = truth.C_n_b[0]
-    return Initial(mission.start_ns, C, truth.p_n[0], C.T @ truth.v_n[0], "body")
+    return Initial(mission.start_ns, C, truth.p_o[0], C.T @ truth.v_n[0], "body")
 
 
 def pings_of(mission: Mission) -> list[Event]:

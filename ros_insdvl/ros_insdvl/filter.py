@@ -15,18 +15,19 @@ import numpy as np
 from geometry_msgs.msg import TwistWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
-from sensor_msgs.msg import Imu
+from sensor_msgs.msg import Imu, NavSatFix
 from std_srvs.srv import Trigger
 
 from insdvl.messages.feed import Feed
-from insdvl.messages.make import fill_imu, fill_odometry, fill_twist
-from insdvl.messages.topics import Topic
+from insdvl.messages.make import fill_fix, fill_imu, fill_odometry, fill_twist
+from insdvl.messages.topics import GLOBAL_POSITION, Topic
 from insdvl.navigation.events import NS, Event, Measurement, ProcessNoise
 from insdvl.navigation.events import Imu as ImuSample
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.odometry import Odometry as FilterOdometry
 from insdvl.navigation.odometry import biases
 from insdvl.navigation.parameters import FilterParameters
+from insdvl.navigation.start import gyrocompass
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.jumps import TimeJump
 from insdvl.timeline.output import AppliedUpdate
@@ -45,12 +46,15 @@ DISCOVERY_PERIOD = 0.5  # s of the steady clock between two looks for the type o
 def compile_kernels(parameters: FilterParameters) -> None:
     """Run a filter for a moment, so that no message ever waits for a compilation.
 
-    Its measurements come between two samples, as those of a sensor do, and its channels freeze.
+    Its measurements come between two samples, as those of a sensor do, and its channels freeze. The
+    first one corrects so much that it is of second order, the next one is ordinary.
     """
     fold = Fold(
         replace(
             parameters,
-            initial=replace(parameters.initial, mode="parameters"),
+            initial=replace(
+                parameters.initial, mode="parameters", velocity_std=100.0, tilt_std=0.1
+            ),
             origin=replace(parameters.origin, source="parameters"),
             imu=replace(parameters.imu, frozen_samples=2),
             gate=replace(parameters.gate, enabled=False),
@@ -65,12 +69,14 @@ def compile_kernels(parameters: FilterParameters) -> None:
     events += [
         ProcessNoise(2 * step - step // 2, np.eye(3), np.eye(3)),
         Dvl(3 * step - step // 2, np.full(3, 0.01)),
+        Dvl(4 * step - step // 2, np.full(3, 0.02)),
     ]
     for event in events:
         fold.add(event)
         check.add(event)
     check.add(Dvl(4 * step, np.full(3, 0.01)))
     fold.take()
+    gyrocompass.jacobian(np.eye(3), 0.0, 0.0)  # calls the Earth's rate and gravity, as a start does
 
 
 class FilterNode(InsdvlNode[FilterParameters]):
@@ -89,6 +95,7 @@ class FilterNode(InsdvlNode[FilterParameters]):
 
         self._odometry = self.advertise(Odometry, "odometry/filtered")
         self._bias = self.advertise(Imu, "imu/bias")
+        self._fix = self.advertise(NavSatFix, GLOBAL_POSITION)
         self._innovations = {
             name: self.advertise(TwistWithCovarianceStamped, f"{name}/innovation")
             for name in self._inputs.measured
@@ -96,12 +103,14 @@ class FilterNode(InsdvlNode[FilterParameters]):
         # A message is serialised when it is sent, so one of each kind serves for ever.
         self._odometry_message = Odometry(child_frame_id=parameters.base_frame)
         self._odometry_message.header.frame_id = parameters.odom_frame
+        self._fix_message = NavSatFix()
+        self._fix_message.header.frame_id = parameters.base_frame
         self._bias_message = Imu()
         self._innovation_messages = {
             name: TwistWithCovarianceStamped() for name in self._innovations
         }
 
-        self._bias_second: int | None = None
+        self._slow_second: int | None = None
         self.create_service(Trigger, "~/reset", self._reset)
         self._mistyped: set[str] = set()  # topics of which no publisher has an accepted type
         self._listen()
@@ -206,8 +215,10 @@ class FilterNode(InsdvlNode[FilterParameters]):
         self._watch.published(output, self.get_clock().now().nanoseconds)
         second = output.stamp_ns // NS
         state = self._fold.latest  # none where the output is the last of a time that was left
-        if second != self._bias_second and state is not None:
-            self._bias_second = second
+        if second != self._slow_second and state is not None:
+            self._slow_second = second
+            fill_fix(self._fix_message, output.stamp_ns, output.place, output.place_covariance)
+            self._fix.send(self._fix_message)
             bias = biases(self._fold.filter, state)
             fill_imu(
                 self._bias_message,
@@ -230,7 +241,7 @@ class FilterNode(InsdvlNode[FilterParameters]):
 
     def _begin_time(self) -> None:
         """Forget what is kept here by stamps."""
-        self._bias_second = None
+        self._slow_second = None
         self._watch.reset()
         self._listen()
 

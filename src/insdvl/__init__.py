@@ -13,7 +13,7 @@ Rooms, lowest first; a room imports only from those above it in this list:
 ``recordings``   rosbag2 recordings: reading, writing, checks
 ``simulation``   trajectories, and what the sensors of a vehicle on them read
 ``jobs``         many runs on many processors
-``studies``      replay, training, evaluation, faults, and the pages made from them
+``studies``      replay, training, evaluation, consistency, faults, and the pages made from them
 ===============  ===================================================================================
 
 Beside them are arrays.py (array types), kernels.py (compilation), files.py and yaml_files.py (files

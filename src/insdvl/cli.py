@@ -21,6 +21,10 @@ COMMANDS = {
         "compare sources of process noise on simulations",
     ),
     "results": ("insdvl.studies.results.command", "recompute the results page"),
+    "consistency": (
+        "insdvl.studies.consistency.command",
+        "recompute the page on consistency: is the filter as good as it says?",
+    ),
 }
 
 

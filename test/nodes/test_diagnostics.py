@@ -121,6 +121,35 @@ def test_a_filter_that_gets_what_it_needs_has_nothing_to_tell() -> None:
     assert wrong(f.look()) == {}
 
 
+def test_what_came_of_gyrocompassing_is_told() -> None:
+    """With the default gyroscope nothing, and the filter starts all the same."""
+    f = Filter(**{"initial.mode": "gyrocompassing"})
+    assert "waits for 60 s of IMU samples at rest" in f.look()["initialisation"].message
+    f.dvl(START_NS + 3 * NS)
+    f.samples(1, 301)
+    status = f.look()["initialisation"]
+    assert status.level == WARN
+    assert "heading as told, one sigma 1 deg: no gyrocompassing" in status.message
+    assert "as they are told its sigma would be" in status.message
+
+
+def test_a_motion_that_ended_gyrocompassing_is_told_until_the_reset() -> None:
+    parameters = {
+        "initial.mode": "gyrocompassing",
+        "initial.heading_std": 1.0,
+        "process_noise.accelerometer_variance": (0.01,) * 3,
+        "process_noise.gyroscope_variance": (1e-6,) * 3,
+    }
+    f = Filter(**parameters)
+    f.noise = 0.1
+    f.samples(1, 202, NS // 100)
+    f.noise = 0.5
+    f.samples(202, 401)
+    for seconds in (1.0, 60.0):
+        f.silence["imu/data_raw"] = 0.0
+        assert "keep it still and call ~/reset" in f.look(seconds)["initialisation"].message
+
+
 def test_the_mean_nis_of_each_measurement_has_a_key_of_its_own() -> None:
     f = Filter()
     for second in (1, 2):

@@ -30,6 +30,7 @@ from insdvl import files
 from insdvl.messages import convert as messages
 from insdvl.messages.make import flat_covariance
 from insdvl.navigation.events import NS
+from insdvl.navigation.geometry import odom
 from insdvl.navigation.geometry.frames import ENU
 from insdvl.navigation.odometry import odometry
 from insdvl.navigation.parameters import FilterParameters
@@ -59,6 +60,7 @@ INPUTS = {
 OUTPUTS = {
     "odometry/filtered": Odometry,
     "imu/bias": Imu,
+    "gps/filtered": NavSatFix,
     "dvl/innovation": TwistWithCovarianceStamped,
 }
 
@@ -518,6 +520,52 @@ def test_origin_from_a_fix(graph: Any) -> None:
     g.send(("gps/fix", fix), *imu_run(4, 8))
     assert g.odometry() != []
     assert g.filter._fold.latest["nav"]["lat_0"] == pytest.approx(np.radians(60.0))
+
+
+@pytest.mark.parametrize("latitude", [90.0, -90.0, 89.6])
+def test_a_fix_at_a_pole_is_refused_by_name(graph: Any, latitude: float) -> None:
+    g = graph(**{"origin.source": "topic"})
+    fix = NavSatFix(latitude=latitude, longitude=10.0, altitude=5.0)
+    fix.status.status = NavSatStatus.STATUS_FIX
+    fix.header.stamp = time_of(START_NS + STEP_NS)
+    g.send(*imu_run(1, 2), ("gps/fix", fix), *imu_run(2, 8))
+    assert g.odometry() == []
+    status, _ = g.statuses()
+    assert "out_of_range" in status["initialisation"].message
+
+
+def test_the_position_on_the_earth_is_published(graph: Any) -> None:
+    """A start 5 km east and 1 km north of an origin at 60 deg; once a second, as the biases."""
+    g = graph(
+        **{
+            "initial.mode": "set_odometry",
+            "origin.latitude_deg": 60.0,
+            "origin.longitude_deg": 179.99,
+            "origin.height": 40.0,
+        }
+    )
+    start = odometry_message(START_NS, (5000.0, 1000.0, -30.0))
+    start.pose.covariance[[0, 7, 14]] = [1.0, 4.0, 9.0]
+    g.send(("set_odometry", start), *imu_run(1, 205))
+    odometry = {stamp_of(message): message for message in g.odometry()}
+    fixes = g.received["gps/filtered"]
+    assert len({stamp_of(fix) // NS for fix in fixes}) == len(fixes) >= 2
+    for fix in fixes:
+        assert fix.header.frame_id == "base_link"
+        assert fix.status.status == NavSatStatus.STATUS_FIX
+        assert fix.position_covariance_type == NavSatFix.COVARIANCE_TYPE_KNOWN
+        place = np.array([*np.radians([fix.latitude, fix.longitude]), fix.altitude])
+        origin = np.array([*np.radians([60.0, 179.99]), 40.0])
+        position = odometry[stamp_of(fix)].pose.pose.position
+        north, east, down = odom.in_odom(place, origin)[0]
+        found = [position.x, position.y, position.z]
+        np.testing.assert_allclose([east, north, -down], found, atol=1e-6)
+    first = fixes[0]
+    assert first.longitude < -179.9  # across the date line
+    assert first.altitude == pytest.approx(10.0, abs=0.01)
+    covariance = first.position_covariance.reshape(3, 3)
+    np.testing.assert_allclose(np.diag(covariance), [1.0, 4.0, 9.0], rtol=0.01)
+    np.testing.assert_array_equal(covariance, covariance.T)
 
 
 def test_reset_starts_again(graph: Any) -> None:

@@ -120,9 +120,9 @@ def test_messages_carry_the_mission_in_the_axes_of_the_stream(graph, convention)
 
     states = [messages.initial(m, axes, once=True) for m in received["ground_truth/odometry"]]
     truth = mission.truth
-    np.testing.assert_array_equal(states[0].p_n, mission.initial.p_n[0])
-    np.testing.assert_array_equal([s.p_n for s in states[1:]], truth.p_n)
-    np.testing.assert_allclose([s.C_n_b for s in states[1:]], truth.C_n_b, atol=1e-14)
+    np.testing.assert_array_equal(states[0].p_o, mission.initial.p_o[0])
+    np.testing.assert_array_equal([s.p_o for s in states[1:]], truth.p_o)
+    np.testing.assert_allclose([s.C_o_b for s in states[1:]], truth.C_o_b, atol=1e-14)
     v_b = np.einsum("kji,kj->ki", truth.C_n_b, truth.v_n)
     np.testing.assert_allclose([s.v for s in states[1:]], v_b, atol=1e-14)
     turn = [m.twist.twist.angular for m in received["ground_truth/odometry"][1:]]

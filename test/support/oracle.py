@@ -3,7 +3,8 @@
 Nothing here is taken from insdvl. Rotations are scipy's, their means come from quadrature, and the
 matrices of the invariant error from those of the plain one by the change of coordinates
 
-    x_invariant = T x_ned,  T = [[I, [v x]], [0, I]]  in velocity and attitude,
+    x_invariant = T x_ned,  T = I but for [v x] in the block (velocity, attitude) and
+                            [x x] in the block (position, attitude), x being metres from the start,
 
 so F = T F_ned T^-1 + T' T^-1, G = T G_ned, H = H_ned T^-1.
 """
@@ -18,6 +19,8 @@ from scipy.stats import chi2
 V, A, F, W, P, D = (slice(i, i + 3) for i in range(0, 18, 3))
 I3 = np.eye(3)
 NS = 10**9
+A_WGS, F_WGS = 6378137.0, 1 / 298.257223563
+E2 = F_WGS * (2 - F_WGS)
 
 # Quadrature over [0, 1], exact to rounding for the mean of a rotation through a few degrees.
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(5)
@@ -56,6 +59,25 @@ def wgs84(lat, h):
     return np.array([0.0, 0.0, g]), w_ie, W_v, north
 
 
+def scales(lat, h):
+    """Metres per radian of latitude and longitude, and per metre of height, to the down axis."""
+    s = 1 - E2 * np.sin(lat) ** 2
+    return np.array([A_WGS * (1 - E2) / s**1.5 + h, (A_WGS / s**0.5 + h) * np.cos(lat), -1.0])
+
+
+def metres(start, end):
+    """North, east, down between two places, by the scales halfway; longitudes do not wrap here."""
+    return (end - start) * scales((start[0] + end[0]) / 2, (start[2] + end[2]) / 2)
+
+
+def gone(start, d):
+    """The place at the end of so many metres north, east, down: a root of `metres`."""
+    guess = start + d / scales(start[0], start[2])
+    for _ in range(6):
+        guess = start + d / scales((start[0] + guess[0]) / 2, (start[2] + guess[2]) / 2)
+    return guess
+
+
 @dataclass
 class DenseFilter:
     """Predict and update with everything written out.
@@ -64,11 +86,10 @@ class DenseFilter:
     """
 
     invariant: bool
-    lat_0: float
-    h_0: float
     C: np.ndarray
     v: np.ndarray
-    p: np.ndarray
+    p: np.ndarray  # latitude, longitude, height
+    r: np.ndarray  # the same of the start
     P: np.ndarray
     eps_f: float = 0.0
     eps_w: float = 0.0
@@ -81,26 +102,35 @@ class DenseFilter:
     b_f: np.ndarray = field(default_factory=lambda: np.zeros(3))
     b_w: np.ndarray = field(default_factory=lambda: np.zeros(3))
     b_d: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    bend: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    seconds: float = 0.0  # since the start
 
     @property
     def n(self):
         return len(self.P)
 
-    def earth(self):
-        *_, north = wgs84(self.lat_0, self.h_0)
-        return wgs84(self.lat_0 + self.p[0] / (north + self.h_0), self.h_0 - self.p[2])[:3]
+    def earth(self, ahead=0.0):
+        lat, _, h = self.p + ahead * self.v / (A_WGS, 1.0, -1.0)
+        return wgs84(lat, h)[:3]
 
-    def coordinates(self, v):
-        """T: from plain errors to those of the model."""
+    def coordinates(self, v, x):
+        """T: from plain errors to those of the model; x are metres from the start."""
         T = np.eye(self.n)
         if self.invariant:
             T[V, A] = skew(v)
+            T[P, A] = skew(x)
         return T
 
-    def predict(self, f_b, w_ib_b, dt, Q_f, Q_w):
-        """A step under constant specific force and turn rate; Q_f, Q_w are densities."""
+    def predict(self, f_b, w_ib_b, dt, Q_f, Q_w, w_before=None, sample=0.0):
+        """A step under constant specific force and turn rate; Q_f, Q_w are densities.
+
+        With the rate of the sample before, and the length of the sample that the step is (a part)
+        of, the rate of coning is added.
+        """
         f_b, w_ib_b = f_b - self.b_f, w_ib_b - self.b_w
-        g, w_ie, W_v = self.earth()
+        if w_before is not None:
+            w_ib_b = w_ib_b + np.cross(w_before - self.b_w, w_ib_b) * sample / 12
+        g, w_ie, W_v = self.earth(dt / 2)
         start = w_ie + W_v @ self.v
         mean_turn = np.tensordot(WEIGHTS, exp(NODES[:, None] * w_ib_b * dt), 1)
         C_mid = exp(-start * dt / 2) @ self.C @ mean_turn
@@ -111,7 +141,8 @@ class DenseFilter:
 
         v_mid = self.v + dt / 2 * acceleration(self.v)
         a = acceleration(v_mid)
-        self.p = self.p + dt * self.v + dt**2 / 2 * a
+        x_mid = metres(self.r, self.p) + dt / 2 * self.v
+        self.p = gone(self.p, dt * self.v + dt**2 / 2 * a)
         self.v = self.v + dt * a
         self.C = exp(-(w_ie + W_v @ v_mid) * dt) @ self.C @ exp(w_ib_b * dt)
         beta = 1 / self.dvl_time_constant
@@ -125,16 +156,24 @@ class DenseFilter:
         dynamics[V, F] = -C_mid
         dynamics[A, V] = -W_v
         dynamics[A, A] = -skew(w_ie + w_en)
+        if self.invariant:  # what a line has of the sine of the heading error
+            missed = (1.0 - np.exp(-self.P[5, 5] / 2)) * w_ie[0]
+            dynamics[A.start + 1, 5] -= missed
+            dynamics[V, 5] += 2 * missed * skew(v_mid)[:, 1]  # Coriolis
         dynamics[A, W] = -C_mid
         dynamics[P, V] = I3
         G[V, V], G[A, A], G[F, F], G[W, W] = -C_mid, -C_mid, I3, I3
         Q[V, V], Q[A, A], Q[F, F], Q[W, W] = Q_f, Q_w, self.eps_f * I3, self.eps_w * I3
-        T, T_dot = self.coordinates(v_mid), np.zeros((n, n))
+        T, T_dot = self.coordinates(v_mid, x_mid), np.zeros((n, n))
         if self.invariant:
-            T_dot[V, A] = skew(a)
+            T_dot[V, A], T_dot[P, A] = skew(a), skew(v_mid)
         back = 2 * np.eye(n) - T  # T^-1, since (T - I)^2 = 0
         dynamics, G = T @ dynamics @ back + T_dot @ back, T @ G
         noise = G @ Q @ G.T
+        if self.invariant:
+            rest = np.zeros((n, n))
+            rest[A, A] = self.rest_of_the_heading(w_ie[0], dt)
+            noise += T @ rest @ T.T
         if self.exact:
             if n > 15:
                 dynamics[D, D] = -beta * I3
@@ -150,12 +189,45 @@ class DenseFilter:
             if n > 15:
                 self.P[D, D] += np.diag(self.dvl_std**2) * (1 - np.exp(-2 * beta * dt))
 
-    def update(self, v_d, R, w_ib_b, Q_w_mean):
+        if self.invariant:
+            e_x = np.array([[0.0, -1.0], [1.0, 0.0]])  # [e_D x], horizontally
+            horizontal = slice(P.start, P.start + 2)
+            before = np.outer(self.bend, self.bend)
+            P_pb = self.P[horizontal, W] @ C_mid[2]
+            self.bend = self.bend + dt * np.sqrt(3.0) * e_x @ P_pb
+            self.P[horizontal, horizontal] += np.outer(self.bend, self.bend) - before
+
+    def rest_of_the_heading(self, rate, dt):
+        """Density of what a line leaves of the Earth's rotation in the axes of the heading."""
+        s = self.P[5, 5]
+        moments = np.array(
+            [
+                1 - 2 * np.exp(-s / 2) + (1 + np.exp(-2 * s)) / 2,
+                (1 - np.exp(-2 * s)) / 2 - s * np.exp(-s),
+                0.0,
+            ]
+        )
+        r = rate**2 * moments
+        bias = np.trace(self.P[W, W]) / 3
+        density = 2 * self.seconds * np.diag(r * r / (r + bias))
+        self.seconds += dt
+        return density
+
+    def tilt_times_velocity(self):
+        """Mean (3,) and covariance (3, 3) of t x dv."""
+        keep = np.diag([1.0, 1.0, 0.0])
+        tt, tv, vv = keep @ self.P[A, A] @ keep, keep @ self.P[A, V], self.P[V, V]
+        e = np.array([skew(unit) for unit in I3]).transpose(1, 0, 2)  # the permutation symbol
+        mean = np.einsum("ijk,jk", e, tv)
+        moments = np.einsum("jm,kn->jkmn", tt, vv) + np.einsum("jn,mk->jkmn", tv, tv)
+        return mean, np.einsum("ijk,lmn,jkmn", e, e, moments)
+
+    def update(self, v_d, R, w_ib_b, Q_w_there):
         """Correct with a DVL velocity.
 
         Args:
-            w_ib_b: (3,) mean of the measured turn rate.
-            Q_w_mean: (3, 3) covariance of that mean.
+            w_ib_b: (3,) measured turn rate.
+            Q_w_there: (3, 3) its covariance.
 
         Returns:
             innovation, S, nis and whether the state was corrected.
@@ -173,21 +245,44 @@ class DenseFilter:
         if self.n > 15:
             H[:, D] = I3
             h = h + self.b_d
-        H = H @ (2 * np.eye(self.n) - self.coordinates(self.v))
-        R = R + l_x @ Q_w_mean @ l_x.T
+        H = H @ (2 * np.eye(self.n) - self.coordinates(self.v, metres(self.r, self.p)))
+        R = R + l_x @ Q_w_there @ l_x.T
         S = H @ self.P @ H.T + R
         nu = v_d - h
         nis = nu @ np.linalg.solve(S, nu)
         if nis > chi2.ppf(self.gate_probability, 3):
             return nu, S, nis, False
-        K = np.linalg.solve(S, H @ self.P).T
+        left = nu
+        if self.invariant:
+            mean, product = self.tilt_times_velocity()
+            if np.trace(H[:, V] @ product @ H[:, V].T) > 1e-3 * np.trace(R):
+                self.P[V, V] += product
+                left = nu + H[:, V] @ mean
+            else:
+                mean = None
+        K = np.linalg.solve(H @ self.P @ H.T + R, H @ self.P).T
         keep = np.eye(self.n) - K @ H
         self.P = keep @ self.P @ keep.T + K @ R @ K.T
-        x = K @ nu
-        turn = exp(x[A])
-        self.C = turn @ self.C
-        self.v = (turn @ self.v if self.invariant else self.v) + x[V]
-        self.b_f, self.b_w, self.p = self.b_f + x[F], self.b_w + x[W], self.p + x[P]
+        x = K @ left
+        if self.invariant and mean is not None:
+            turn = np.eye(self.n)
+            turn[V, V] = exp(np.array([x[3], x[4], 0.0]))
+            x[V] = turn[V, V] @ (x[V] - mean)
+            self.P = turn @ self.P @ turn.T
+        if self.invariant:
+            down = np.array([0.0, 0.0, 1.0])
+            heading, tilt = exp(x[5] * down), exp(x[A] - x[5] * down)
+            self.C = heading @ tilt @ self.C
+            self.v = heading @ (tilt @ self.v + x[V])
+            way = metres(self.r, self.p)
+            self.p = gone(self.p, heading @ (tilt @ way + x[P]) - way)
+            turn = np.eye(self.n)
+            turn[V, V] = turn[A, A] = turn[P, P] = heading
+            self.P, self.bend = turn @ self.P @ turn.T, heading[:2, :2] @ self.bend
+        else:
+            self.C = exp(x[A]) @ self.C
+            self.v, self.p = self.v + x[V], gone(self.p, x[P])
+        self.b_f, self.b_w = self.b_f + x[F], self.b_w + x[W]
         if self.n > 15:
             self.b_d = self.b_d + x[D]
         return nu, S, nis, True
@@ -203,19 +298,34 @@ def van_loan(dynamics, noise, dt):
     return Phi, Phi @ result[:n, n:]
 
 
-def interval_mean(stamps_ns, samples, end_ns, length_ns):
-    """Mean of the samples, each constant over the interval before its stamp, and how many count."""
-    t = (stamps_ns - stamps_ns[0]) / NS
-    integral = np.vstack([np.zeros(3), np.cumsum(samples[1:] * np.diff(t)[:, None], axis=0)])
-    end, start = (end_ns - stamps_ns[0]) / NS, (end_ns - length_ns - stamps_ns[0]) / NS
-    total = [
-        np.interp(end, t, integral[:, i]) - np.interp(start, t, integral[:, i]) for i in range(3)
-    ]
-    count = np.count_nonzero((stamps_ns[1:] > end_ns - length_ns) & (stamps_ns[:-1] < end_ns))
-    return np.array(total) / (length_ns / NS), count
+def rate_at(stamps_ns, samples, end_ns, length_ns, variance):
+    """A line through the samples of a window, at its end, and the variance of its error.
+
+    Each sample is constant over the interval before its stamp and stands for its middle. The slope
+    is zero +- 0.1 rad/s^2 before they are seen, which is one more equation.
+
+    Args:
+        variance: (3,) of one sample.
+
+    Returns:
+        The rate (3,), and the variance (3,) of its error in units of that of one sample.
+    """
+    begins, ends = (stamps_ns[:-1] - end_ns) / NS, (stamps_ns[1:] - end_ns) / NS
+    shares = np.minimum(ends, 0.0) - np.maximum(begins, -length_ns / NS)
+    inside = shares > 0.0
+    w, t, m = samples[1:][inside], (begins + ends)[inside] / 2, inside.sum()
+    root = np.sqrt(shares[inside])
+    rates, errors = np.empty(3), np.empty(3)
+    for i, q in enumerate(variance):
+        design = np.vstack([root[:, None] * np.column_stack([np.ones(m), t]), np.zeros(2)])
+        design[m, 1] = np.sqrt(shares[inside].mean() * q) / 0.1
+        weights = np.linalg.pinv(design)[0, :m] * root
+        rates[i] = weights @ w[:, i]
+        errors[i] = weights @ weights + (0.1 * (weights @ t)) ** 2 / q
+    return rates, errors
 
 
-def run(dense, stamps_ns, f_b, w_ib_b, events, average_ns, density, rate):
+def run(dense, stamps_ns, f_b, w_ib_b, events, window_ns, density, rate):
     """Fold a mission: events are (stamp, "Q", Q_f, Q_w) or (stamp, "dvl", v_d, R), sorted by stamp.
 
     The first event sets Q. Samples and Q are in base_link axes; Q is per sample as told.
@@ -234,15 +344,17 @@ def run(dense, stamps_ns, f_b, w_ib_b, events, average_ns, density, rate):
             if kind == "Q":
                 Q_f, Q_w = first, second
             else:
-                mean, count = interval_mean(stamps_ns, w_ib_b, stamp, average_ns)
-                variance = Q_w * density * rate / count
-                reports.append(dense.update(first, second, mean, variance))
+                Q = Q_w * density * rate
+                w, errors = rate_at(stamps_ns, w_ib_b, stamp, window_ns, np.diag(Q))
+                Q = Q * np.sqrt(np.outer(errors, errors))
+                reports.append(dense.update(first, second, w, Q))
 
     def step(to_ns, k):
         nonlocal time_ns
         if to_ns > time_ns:
             dt = (to_ns - time_ns) / NS
-            dense.predict(f_b[k], w_ib_b[k], dt, Q_f * density, Q_w * density)
+            before = (w_ib_b[k - 1], (stamps_ns[k] - stamps_ns[k - 1]) / NS) if k else ()
+            dense.predict(f_b[k], w_ib_b[k], dt, Q_f * density, Q_w * density, *before)
             time_ns = to_ns
 
     Q_f = Q_w = None

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from insdvl.navigation import kalman
-from insdvl.navigation.error_state import ATTITUDE, VELOCITY, cross_matrix
+from insdvl.navigation.error_state import ATTITUDE, VELOCITY
+from insdvl.navigation.geometry.rotation import cross_matrix
 
 
 def reset_jacobian(dx: np.ndarray, *, invariant: bool) -> np.ndarray:
@@ -24,11 +25,12 @@ def apply_it_after_every_update(monkeypatch: pytest.MonkeyPatch) -> None:
     """From here on every filter of this test applies the reset Jacobian."""
     correct = kalman._correct
 
-    def with_reset(state, constants, H, K, R, innovation):  # type: ignore[no-untyped-def]
-        correct(state, constants, H, K, R, innovation)
+    def with_reset(state, constants, H, K, R, innovation, *product):  # type: ignore[no-untyped-def]
+        correct(state, constants, H, K, R, innovation, *product)
         n = len(K)
         G = reset_jacobian(K @ innovation, invariant=bool(constants[0]["invariant"]))
         P = state[0]["nav"]["P"]
         P[:n, :n] = G @ P[:n, :n] @ G.T
 
     monkeypatch.setattr(kalman, "_correct", with_reset)
+    monkeypatch.setattr(kalman, "_PRODUCT", np.inf)  # every update is the linear one

@@ -50,7 +50,7 @@ def test_the_five_lines_navigate_a_recording(
 
     (last,) = printed
     assert last.stamp_ns == mission.stamps_ns[-1]
-    error = last.position - ENU.nav @ mission.truth.p_n[-1]
+    error = last.position - ENU.nav @ mission.truth.p_o[-1]
     sigma = np.sqrt(np.diag(last.pose_covariance)[:3])
     assert (np.abs(error) < 4 * sigma).all()
     assert (sigma < 3.0).all()

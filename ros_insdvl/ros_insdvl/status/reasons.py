@@ -21,7 +21,8 @@ REMEDIES: Mapping[str, str] = MappingProxyType(
         "no_data": "the sender marks its data as not measured",
         "no_stamp": "the driver does not stamp its messages",
         "not_finite": "the sender sends NaN or infinity",
-        "out_of_range": "the values are physically impossible: check the sender's units",
+        "out_of_range": "the values are physically impossible, or no place where the filter "
+        "navigates: check the sender's units",
         "too_late": "they arrive more than max_delay after the IMU: shorten the delay or raise "
         "max_delay",
         "wrong_frame": "another sensor publishes there, or the expected frame_id is wrong: set it",

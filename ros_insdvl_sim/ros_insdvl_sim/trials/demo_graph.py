@@ -92,14 +92,14 @@ def initial_parameters(seed: int) -> dict[str, Any]:
     sigma = FilterParameters().initial
     rng = np.random.default_rng([seed, 1])
     psi = rng.normal(0.0, [sigma.tilt_std, sigma.tilt_std, sigma.heading_std])
-    C_n_b = Rotation.from_rotvec(psi).as_matrix().T @ truth.C_n_b[0]  # C_true = exp([psi x]) C
+    C_o_b = Rotation.from_rotvec(psi).as_matrix().T @ truth.C_o_b[0]  # C_true = exp([psi x]) C
     v_b = truth.C_n_b[0].T @ truth.v_n[0] + rng.normal(0.0, sigma.velocity_std, 3)
-    p_n = truth.p_n[0] + rng.normal(0.0, sigma.position_std, 3)
+    p_o = truth.p_o[0] + rng.normal(0.0, sigma.position_std, 3)
     return {
         "initial": {
             "mode": "parameters",
-            "position": (ENU.nav @ p_n).tolist(),
-            "rpy": rpy_from_rotation(ENU.attitude(C_n_b)).tolist(),
+            "position": (ENU.nav @ p_o).tolist(),
+            "rpy": rpy_from_rotation(ENU.attitude(C_o_b)).tolist(),
             "velocity": (ENU.body @ v_b).tolist(),
             "velocity_frame": "body",
         },

@@ -21,7 +21,7 @@ def track_of(rows: Array) -> Track:
     return Track(
         C_n_b=Rotation.from_quat(rows[:, OdometrySeries.QUATERNION]).as_matrix(),
         v_b=rows[:, OdometrySeries.VELOCITY],
-        p_n=rows[:, OdometrySeries.POSITION],
+        p_o=rows[:, OdometrySeries.POSITION],
     )
 
 

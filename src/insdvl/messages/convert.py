@@ -16,7 +16,9 @@ import numpy as np
 
 from insdvl.arrays import Array
 from insdvl.navigation.events import MAX_VARIANCE, NS, Imu, Initial, Origin, ProcessNoise
+from insdvl.navigation.geometry.earth import MAX_LATITUDE_DEG
 from insdvl.navigation.geometry.frames import Convention, rotation_from_quaternion
+from insdvl.navigation.geometry.odom import MAX_FROM_ORIGIN
 from insdvl.navigation.measurements.dvl import Dvl
 
 #: Message types that are converted here.
@@ -192,8 +194,8 @@ def initial(message: Any, convention: Convention, *, once: bool) -> Initial:
     """The state of a nav_msgs/Odometry: pose in odom, twist in body axes (REP-105).
 
     Raises:
-        RejectedMessage: ``bad_stamp``, ``not_finite``, ``bad_quaternion``, ``no_data`` or
-            ``bad_covariance``.
+        RejectedMessage: ``bad_stamp``, ``not_finite``, ``bad_quaternion``, ``no_data``,
+            ``bad_covariance``, or ``out_of_range`` for a position too far from the origin.
     """
     q = message.pose.pose.orientation
     q_xyzw = np.array([q.x, q.y, q.z, q.w], dtype=float)
@@ -202,6 +204,14 @@ def initial(message: Any, convention: Convention, *, once: bool) -> Initial:
     pose = covariance(message.pose.covariance, 6, "pose.covariance")
     twist = covariance(message.twist.covariance, 6, "twist.covariance")
     nav, body = convention.nav, convention.body
+    position = vector(message.pose.pose.position, "position")
+    distance = np.hypot(position[0], position[1])
+    if distance > MAX_FROM_ORIGIN:
+        raise RejectedMessage(
+            "out_of_range",
+            f"position is {distance / 1e3:.0f} km from the origin, at most "
+            f"{MAX_FROM_ORIGIN / 1e3:g} km are possible",
+        )
 
     def block(P: Array | None, rows: slice, rotation: Array) -> Array | None:
         if P is None or not P[rows, rows].any():
@@ -210,8 +220,8 @@ def initial(message: Any, convention: Convention, *, once: bool) -> Initial:
 
     return Initial(
         stamp_ns=stamp_ns(message.header),
-        C_n_b=convention.attitude(rotation_from_quaternion(q_xyzw)),
-        p_n=nav @ vector(message.pose.pose.position, "position"),
+        C_o_b=convention.attitude(rotation_from_quaternion(q_xyzw)),
+        p_o=nav @ position,
         v=body @ vector(message.twist.twist.linear, "twist.linear"),
         velocity_frame="body",
         P_v=block(twist, slice(0, 3), body),
@@ -238,8 +248,11 @@ def origin(message: Any, height: float) -> Origin:
     fix = np.array([message.latitude, message.longitude, altitude], dtype=float)
     if not np.isfinite(fix).all():
         raise RejectedMessage("not_finite", f"fix is {fix.tolist()}")
-    if abs(fix[0]) > 90.0:
-        raise RejectedMessage("out_of_range", f"latitude is {fix[0]} deg")
+    if abs(fix[0]) > MAX_LATITUDE_DEG:
+        raise RejectedMessage(
+            "out_of_range",
+            f"latitude is {fix[0]} deg, the filter navigates within +-{MAX_LATITUDE_DEG:g} deg",
+        )
     return Origin(
         stamp_ns=stamp_ns(message.header),
         lat=float(np.radians(fix[0])),

@@ -13,10 +13,12 @@ from numpy.typing import ArrayLike
 
 from insdvl.arrays import Array
 from insdvl.navigation.events import NS
-from insdvl.navigation.geometry.frames import Convention
+from insdvl.navigation.geometry.frames import ENU, Convention
 
 #: Covariance of a quantity that a message does not carry (REP-145).
 NOT_MEASURED = np.array([-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+#: Of a sensor_msgs/NavSatFix: STATUS_FIX, no satellite service, COVARIANCE_TYPE_KNOWN.
+_HAS_FIX, _NO_SERVICE, _KNOWN = 0, 0, 3
 #: Flat covariances that are not known, by the number of rows.
 _UNKNOWN = {rows: np.zeros(rows * rows) for rows in (3, 6)}
 for _shared in (NOT_MEASURED, *_UNKNOWN.values()):  # by all messages
@@ -156,6 +158,26 @@ def fill_odometry(
     set_vector(message.twist.twist.linear, linear)
     set_vector(message.twist.twist.angular, angular)
     message.twist.covariance = flat_covariance(twist_covariance, 6)
+
+
+def fill_fix(message: Any, stamp_ns: int, place: Array, covariance: Array) -> None:
+    """Fill a sensor_msgs/NavSatFix with a filter's estimate.
+
+    Its status is a fix (0): the position is there to be used, and -1 would have every consumer
+    discard it. It names no satellite service (0), since no receiver is behind it.
+
+    Args:
+        message: The message.
+        stamp_ns: Stamp [ns].
+        place: (3,) latitude, longitude [rad] and height above the ellipsoid [m].
+        covariance: (3, 3) of metres north, east and down [m^2]; the message has east, north, up.
+    """
+    set_stamp(message, stamp_ns)
+    message.status.status, message.status.service = _HAS_FIX, _NO_SERVICE
+    message.latitude, message.longitude = np.degrees(place[:2]).tolist()
+    message.altitude = float(place[2])
+    message.position_covariance = (ENU.nav @ covariance @ ENU.nav.T).ravel()
+    message.position_covariance_type = _KNOWN
 
 
 def fill_innovation(

@@ -28,6 +28,8 @@ PROCESS_NOISE = "process_noise"
 TRUE_PROCESS_NOISE = "ground_truth/process_noise"
 FIX = "gps/fix"
 DEPTH = "depth/pressure"
+#: Of what the filter publishes, as replay and node do.
+GLOBAL_POSITION = "gps/filtered"
 
 #: Topic of each source of process noise that has one.
 Q_TOPICS: Mapping[str, str] = MappingProxyType(

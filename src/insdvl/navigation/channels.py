@@ -140,7 +140,7 @@ def replace_frozen(s: State, w: Workspace, c: Constants) -> None:
 
     The attitude tells the share of gravity, which may be far more than the motion.
     """
-    strapdown.earth_terms(s, w, c)
+    strapdown.earth_terms(s, w, c, 0.0)
     rotate_back(w.g_b, s.nav.C_n_b, w.g_n)
     for i in range(3):
         force, rate = 0.0, 0.0

@@ -1,12 +1,8 @@
-"""Error state: its map, dynamics, discretisation, injection and initial covariance.
+"""Error state: its map, dynamics, noise and discretisation.
 
-With C_true = exp([psi x]) C, b_true = b + db, p_true = p + dp, and
-
-    ned:        v_true = v + dv
-    invariant:  v_true = exp([psi x]) v + dv     (dv_i = dv_ned + [v_n x] psi to first order)
-
-Behind the fifteen states that every filter has come the blocks of optional states that sensors
-bring (measurements/base.py), each a first-order Gauss-Markov process or a constant.
+What the errors are is in coordinates.py. Behind the fifteen states that every filter has come the
+blocks of optional states that sensors bring (measurements/base.py), each a first-order Gauss-Markov
+process or a constant.
 
 The matrices are derived in docs/explanation/error-state.md, in full and for both.
 """
@@ -16,11 +12,8 @@ import numpy as np
 from insdvl.arrays import Array
 from insdvl.kernels import kernel
 from insdvl.navigation.geometry.rotation import (
-    exponential,
-    orthonormalise,
     product,
     product_transposed,
-    rotate,
     skew,
 )
 from insdvl.navigation.state import CORE, Constants, State, Workspace
@@ -31,9 +24,12 @@ ATTITUDE = slice(3, 6)  # rad
 ACCELEROMETER_BIAS = slice(6, 9)  # m/s^2
 GYROSCOPE_BIAS = slice(9, 12)  # rad/s
 POSITION = slice(12, 15)  # m
+HORIZONTAL_POSITION = slice(12, 14)
 
 # First elements of the blocks, for the kernels.
 _V, _A, _F, _W, _P = 0, 3, 6, 9, 12
+
+_ROOT_3 = np.sqrt(3.0)
 
 # F and Phi are dense in the rows of velocity, attitude and position, and there in the first twelve
 # columns; the bias rows of F are zero. Loops over just these blocks skip half of all products.
@@ -56,6 +52,27 @@ def add_block(F: Array, row: int, column: int, sign: float, M: Array) -> None:
 
 
 @kernel
+def earth_rate_seen(s: State, w: Workspace) -> None:
+    """What an uncertain heading h lets be known of the Earth's rotation, into the workspace.
+
+    In the axes of the estimated heading it is off by w_N (cos h - 1) north and -w_N sin h east.
+    For a normal h the best line through sin h has the slope exp(-variance / 2). The rest of both is
+    an unknown rate r that stays while h does, and over the time T since the start makes a tilt of
+    variance (r T)^2, as a density 2 r^2 T does. A bias that is as unknown covers it.
+    """
+    P = s.nav.P
+    variance = P[_A + 2, _A + 2]
+    one, two = np.exp(-0.5 * variance), np.exp(-2.0 * variance)
+    w.heading_slope = one
+    bias = (P[_W, _W] + P[_W + 1, _W + 1] + P[_W + 2, _W + 2]) / 3.0
+    twice = 2e-9 * (s.nav.time_ns - s.nav.start_ns)
+    north = max(1.0 - 2.0 * one + 0.5 * (1.0 + two), 0.0) * w.w_ie_n[0] ** 2
+    east = max(0.5 * (1.0 - two) - one * one * variance, 0.0) * w.w_ie_n[0] ** 2
+    w.heading_rest[0] = twice * north * north / (north + bias) if north > 0.0 else 0.0
+    w.heading_rest[1] = twice * east * east / (east + bias) if east > 0.0 else 0.0
+
+
+@kernel
 def dynamics(w: Workspace, c: Constants) -> None:
     """F of dx' = F dx + G n into ``w.F``, at the middle of the step that is in the workspace.
 
@@ -66,9 +83,11 @@ def dynamics(w: Workspace, c: Constants) -> None:
     invariant:
         dv'  = -[W x] dv + ([g x] + [v x][w_ie x]) psi - C db_f - [v x] C db_w
         psi' = -W_v dv + (W_v [v x] - [w_in x]) psi - C db_w
-        dp'  = dv - [v x] psi
+        dp'  = dv + [x x] psi'
+
+    The heading column of [w_ie x] has the slope of `earth_rate_seen`.
     """
-    F, C, v_x, M, N = w.F, w.C_mean, w.v_x, w.a_x, w.block
+    F, C, v_x, x_x, M, N = w.F, w.C_mean, w.v_x, w.x_x, w.a_x, w.block
     skew(v_x, w.v_n)
     for i in range(3):
         w.coriolis[i] = 2.0 * w.w_ie_n[i] + w.w_en_n[i]
@@ -76,23 +95,38 @@ def dynamics(w: Workspace, c: Constants) -> None:
     set_block(F, _V, _V, -1.0, M)
     set_block(F, _V, _F, -1.0, C)
     set_block(F, _A, _V, -1.0, w.W_v)
-    skew(M, w.w_in_n)
-    set_block(F, _A, _A, -1.0, M)
     set_block(F, _A, _W, -1.0, C)
-    for i in range(3):
-        F[_P + i, _V + i] = 1.0
     if c.invariant:
         skew(M, w.g_n)
         set_block(F, _V, _A, 1.0, M)
         skew(M, w.w_ie_n)
+        M[1, 2] *= w.heading_slope
         product(N, v_x, M)
         add_block(F, _V, _A, 1.0, N)
         product(M, v_x, C)
         set_block(F, _V, _W, -1.0, M)
-        product(M, w.W_v, v_x)
-        add_block(F, _A, _A, 1.0, M)
-        set_block(F, _P, _A, -1.0, v_x)
+        product(N, w.W_v, v_x)
+        skew(M, w.w_in_n)
+        for i in range(3):
+            for j in range(3):
+                N[i, j] -= M[i, j]
+        N[1, 2] -= (1.0 - w.heading_slope) * w.w_ie_n[0]
+        set_block(F, _A, _A, 1.0, N)
+        # The position rows are dv + [x x] times the attitude rows.
+        skew(x_x, w.x_n)
+        product(M, x_x, N)
+        set_block(F, _P, _A, 1.0, M)
+        product(M, x_x, w.W_v)
+        set_block(F, _P, _V, -1.0, M)
+        product(M, x_x, C)
+        set_block(F, _P, _W, -1.0, M)
+        for i in range(3):
+            F[_P + i, _V + i] += 1.0
     else:
+        for i in range(3):
+            F[_P + i, _V + i] = 1.0
+        skew(M, w.w_in_n)
+        set_block(F, _A, _A, -1.0, M)
         product(M, v_x, w.W_v)
         add_block(F, _V, _V, 1.0, M)
         skew(M, w.f_n)
@@ -132,8 +166,9 @@ def _transition_row(Phi: Array, F: Array, i: int, dt: float) -> None:
 def input_noise(s: State, w: Workspace, c: Constants, Q_f: Array, Q_w: Array, dt: float) -> None:
     """Q_d = G Q_c G^T dt into ``w.Q_d``, for the densities ``Q_f``, ``Q_w`` (3, 3) and the walks.
 
-    G = [[C, [v x] C (invariant) or 0, 0, 0], [0, C, 0, 0], [0, 0, I, 0], [0, 0, 0, I], [0]]. White
-    noise has no sign, so those of G's columns do not matter.
+    G = [[C, [v x] C, 0, 0], [0, C, 0, 0], [0, 0, I, 0], [0, 0, 0, I], [0, [x x] C, 0, 0]], for
+    `ned` without [v x] C and [x x] C. White noise has no sign, so those of G's columns do not
+    matter. For `invariant` the rest of `earth_rate_seen` is added to the noise of the gyroscope.
     """
     Q_d, C, M, N = w.Q_d, w.C_mean, w.rotated, w.block
     product(M, C, Q_f)
@@ -141,6 +176,9 @@ def input_noise(s: State, w: Workspace, c: Constants, Q_f: Array, Q_w: Array, dt
     set_block(Q_d, _V, _V, dt, N)
     product(M, C, Q_w)
     product_transposed(N, M, C)
+    if c.invariant:
+        for i in range(2):
+            N[i, i] += w.heading_rest[i]
     set_block(Q_d, _A, _A, dt, N)
     if c.invariant:
         skew(w.v_x, w.v_n)
@@ -149,8 +187,19 @@ def input_noise(s: State, w: Workspace, c: Constants, Q_f: Array, Q_w: Array, dt
             for j in range(3):
                 Q_d[_V + i, _A + j] = dt * M[i, j]
                 Q_d[_A + j, _V + i] = dt * M[i, j]
+        skew(w.x_x, w.x_n)
+        product(w.a_x, w.x_x, N)  # [x x] C Q_w C^T
         product_transposed(N, M, w.v_x)  # [v x] C Q_w C^T [v x]^T
         add_block(Q_d, _V, _V, dt, N)
+        product_transposed(M, w.a_x, w.v_x)  # [x x] C Q_w C^T [v x]^T
+        product_transposed(N, w.a_x, w.x_x)  # [x x] C Q_w C^T [x x]^T
+        set_block(Q_d, _P, _P, dt, N)
+        for i in range(3):
+            for j in range(3):
+                Q_d[_P + i, _A + j] = dt * w.a_x[i, j]
+                Q_d[_A + j, _P + i] = dt * w.a_x[i, j]
+                Q_d[_P + i, _V + j] = dt * M[i, j]
+                Q_d[_V + j, _P + i] = dt * M[i, j]
     for i in range(3):
         Q_d[_F + i, _F + i] = dt * c.eps_f
         Q_d[_W + i, _W + i] = dt * c.eps_w
@@ -238,78 +287,25 @@ def _propagate_optional(P: Array, w: Workspace, n: int) -> None:
 
 
 @kernel
-def inject(s: State, c: Constants, dx: Array) -> None:
-    """Move the nominal state by the error dx (n,), without a reset Jacobian.
+def bend(s: State, w: Workspace, dt: float) -> None:
+    """Add to P what a gyroscope bias, which turns the heading while the path grows, makes of it.
 
-    That Jacobian and the curvature of h cancel (docs/explanation/error-state.md).
+    With a heading error that changes, dp' has a term of second order, -h' e_D x dp, horizontally.
+    An unknown bias about the vertical, h' = -b, and the dp that it has made are one random number z
+    times their sigmas: the term is z^2 e_D x P_pb, and adds up, since z stays. One sigma of it is
+    m = sqrt(E[z^4]) int e_D x P_pb dt. No velocity tells it: in P it stays m m^T until a position
+    is measured.
     """
-    nav = s.nav
-    for i in range(3):
-        nav.b_f[i] += dx[_F + i]
-        nav.b_w[i] += dx[_W + i]
-        nav.p_n[i] += dx[_P + i]
-    for i in range(dx.shape[0] - CORE):
-        nav.optional[i] += dx[CORE + i]
-    turn, rotated, v_n = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
-    exponential(turn, rotated, dx[_A], dx[_A + 1], dx[_A + 2])
-    product(rotated, turn, nav.C_n_b)
-    nav.C_n_b[:] = rotated
-    orthonormalise(nav.C_n_b, rotated)
-    if c.invariant:
-        rotate(v_n, turn, nav.v_n)
-        nav.v_n[:] = v_n
-    for i in range(3):
-        nav.v_n[i] += dx[_V + i]
-
-
-def cross_matrix(a: Array) -> Array:
-    """[a x] as a new (3, 3) array."""
-    out = np.empty((3, 3))
-    skew(out, a)
-    return out
-
-
-def from_ordinary_errors(
-    C_n_b: Array, v_n: Array, *, invariant: bool, velocity_frame: str, n: int
-) -> Array:
-    """Jacobian T (n, n) of the model's coordinates with respect to ordinary errors.
-
-    The ordinary errors are (dv, psi, db_f, db_w, dp): the velocity error either in body axes, of
-    v_b = C_b_n v_n, or in NED. With P_0 built in them, T P_0 T^T is the filter's covariance.
-
-        dv_ned       = C dv_b - [v x] psi       (body), and then
-        dv_invariant = dv_ned + [v x] psi = C dv_b
-
-    Args:
-        C_n_b: (3, 3) attitude.
-        v_n: (3,) velocity [m/s], NED.
-        velocity_frame: ``body`` or ``nav``.
-        n: Number of error states.
-    """
-    T = np.eye(n)
-    sign = 0.0
-    if velocity_frame == "body":
-        T[VELOCITY, VELOCITY] = C_n_b
-        sign -= 1.0
-    if invariant:
-        sign += 1.0
-    T[VELOCITY, ATTITUDE] = sign * cross_matrix(v_n)
-    return T
-
-
-def body_velocity_jacobian(C_n_b: Array, v_n: Array, *, invariant: bool, n: int) -> Array:
-    """Jacobian (..., 3, n) of the body velocity C_b_n v_n: C_b_n dv, and C_b_n [v x] psi for `ned`.
-
-    Args:
-        C_n_b: (..., 3, 3) attitude.
-        v_n: (..., 3) velocity [m/s], NED.
-        n: Number of error states.
-    """
-    C_b_n = np.swapaxes(C_n_b, -1, -2)
-    J = np.zeros((*v_n.shape, n))
-    J[..., VELOCITY] = C_b_n
-    if not invariant:
-        # Row j of the cross product with the unit vectors is column j of [v x].
-        v_x = np.swapaxes(np.cross(v_n[..., None, :], np.eye(3)), -1, -2)
-        J[..., ATTITUDE] = C_b_n @ v_x
-    return J
+    nav, P = s.nav, s.nav.P
+    P_pb = np.zeros(2)
+    for i in range(2):
+        for j in range(3):
+            P_pb[i] += P[_P + i, _W + j] * w.C_mean[2, j]
+    for i in range(2):
+        for j in range(2):
+            P[_P + i, _P + j] -= nav.bend_n[i] * nav.bend_n[j]
+    nav.bend_n[0] -= _ROOT_3 * P_pb[1] * dt
+    nav.bend_n[1] += _ROOT_3 * P_pb[0] * dt
+    for i in range(2):
+        for j in range(2):
+            P[_P + i, _P + j] += nav.bend_n[i] * nav.bend_n[j]

@@ -14,6 +14,8 @@ from typing import ClassVar
 import numpy as np
 
 from insdvl.arrays import Array
+from insdvl.navigation.geometry.earth import MAX_LATITUDE
+from insdvl.navigation.geometry.odom import MAX_FROM_ORIGIN
 
 NS = 1_000_000_000  # nanoseconds in a second
 
@@ -100,10 +102,10 @@ class Origin(Event):
         return np.array([self.lat, self.lon, self.h]).tobytes()
 
     def limits(self) -> Limits:
-        """Where no vehicle is."""
+        """Where no vehicle is, and the poles."""
         middle = (MIN_HEIGHT + MAX_HEIGHT) / 2
         return (
-            (np.array([self.lat]), pi / 2),
+            (np.array([self.lat]), MAX_LATITUDE),
             (np.array([self.lon]), 2 * pi),
             (np.array([self.h - middle]), MAX_HEIGHT - middle),
         )
@@ -111,21 +113,23 @@ class Origin(Event):
 
 @dataclass(frozen=True, slots=True)
 class Initial(Event):
-    """The state of base_link at a stamp. A covariance that is None takes the parameters' sigmas.
+    """The state of base_link in odom at a stamp; odom as north, east, down (geometry/odom.py).
+
+    A covariance that is None takes the parameters' sigmas.
 
     Attributes:
-        C_n_b: (3, 3) attitude of base_link.
-        p_n: (3,) position [m] from odom's origin.
-        v: (3,) velocity [m/s], in body axes or in NED, see `velocity_frame`.
+        C_o_b: (3, 3) attitude of base_link: tilt against the local level, yaw against odom.
+        p_o: (3,) position [m] in odom.
+        v: (3,) velocity [m/s], in body axes or in odom's, see `velocity_frame`.
         velocity_frame: ``body`` or ``nav``: the axes of `v` and of `P_v`.
         P_v: (3, 3) covariance of `v` [(m/s)^2].
-        P_psi: (3, 3) covariance of the rotation error about NED axes [rad^2].
-        P_p: (3, 3) covariance of the position in NED [m^2].
+        P_psi: (3, 3) covariance of the rotation error about odom's axes [rad^2].
+        P_p: (3, 3) covariance of the position in odom [m^2].
         once: Applies only while the filter is not yet initialised.
     """
 
-    C_n_b: Array
-    p_n: Array
+    C_o_b: Array
+    p_o: Array
     v: Array
     velocity_frame: str
     P_v: Array | None = None
@@ -140,7 +144,7 @@ class Initial(Event):
         covariances = (self.P_v, self.P_psi, self.P_p)
         return b"".join(
             [
-                *(array.tobytes() for array in (self.C_n_b, self.p_n, self.v)),
+                *(array.tobytes() for array in (self.C_o_b, self.p_o, self.v)),
                 *(b"-" if P is None else P.tobytes() for P in covariances),
                 self.velocity_frame.encode(),
                 bytes([self.once]),
@@ -150,8 +154,8 @@ class Initial(Event):
     def limits(self) -> Limits:
         """What no vehicle does."""
         return (
-            (self.C_n_b, 1.0 + 1e-9),
-            (self.p_n, MAX_DISTANCE),
+            (self.C_o_b, 1.0 + 1e-9),
+            (self.p_o, MAX_FROM_ORIGIN),
             (self.v, MAX_SPEED),
             (self.P_v, MAX_VARIANCE),
             (self.P_psi, MAX_VARIANCE),

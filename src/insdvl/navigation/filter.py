@@ -11,15 +11,17 @@ import numpy as np
 
 from insdvl.arrays import Array, Records, Stamps
 from insdvl.kernels import kernel
-from insdvl.navigation import channels, error_state, kalman, start, strapdown
-from insdvl.navigation.error_state import ATTITUDE
+from insdvl.navigation import channels, coordinates, error_state, kalman, strapdown
+from insdvl.navigation.error_state import ACCELEROMETER_BIAS, HORIZONTAL_POSITION, POSITION
 from insdvl.navigation.events import NS, Imu, Initial, Measurement, Origin, ProcessNoise
 from insdvl.navigation.gate import Gate
 from insdvl.navigation.geometry.frames import CONVENTIONS, rotation_from_rpy
+from insdvl.navigation.geometry.rotation import rotate
 from insdvl.navigation.kalman import Innovated
 from insdvl.navigation.measurements.base import SensorModel, Turn, Vehicle
 from insdvl.navigation.parameters import SENSORS, FilterParameters
 from insdvl.navigation.process_noise import source_of
+from insdvl.navigation.start.initial_state import Start, locate, sample_variance_w
 from insdvl.navigation.state import (
     CORE,
     NEVER,
@@ -36,8 +38,9 @@ LAYOUT = layout(
     tuple(SENSORS), sum(size for group in SENSORS.values() for size in group.ROOM.values())
 )
 
-#: The states that the noise of the samples drives are those before this one.
-_INPUT = ATTITUDE.stop
+
+# First elements of blocks, for the kernel.
+_BIASES, _POSITION = ACCELEROMETER_BIAS.start, POSITION.start
 
 
 @dataclass(frozen=True)
@@ -76,6 +79,12 @@ class UpdateReport:
 
 
 @kernel
+def _is_driven(i: int) -> bool:
+    """Whether the noise of the samples drives an error state: not the biases and optional ones."""
+    return i < _BIASES or _POSITION <= i < CORE
+
+
+@kernel
 def _advance(
     s: State,
     w: Workspace,
@@ -103,6 +112,7 @@ def _advance(
     in_doubt = channels.doubt(s, w, c, reading, to_ns, s.channels.told_ns)
     if in_doubt:
         channels.replace_frozen(s, w, c)
+    _set_coning(s, w, c, sample_ns, in_doubt)
     strapdown.mechanise(s, w, c, w.f_hat, w.w_hat, dt)
 
     # Densities of the input noise; in a gap, of the motion that was not seen as well: a constant
@@ -121,6 +131,8 @@ def _advance(
     if in_doubt:
         channels.add_unseen(s, w, c)
 
+    if c.invariant:
+        error_state.earth_rate_seen(s, w)
     error_state.dynamics(w, c)
     error_state.discretise(w, c, dt)
     for i in range(CORE, c.n):
@@ -132,14 +144,29 @@ def _advance(
         for i in range(c.n):
             for j in range(c.n):
                 # In place of the nominal Q, but not of the motion that was not seen.
-                if c.literal and (i >= _INPUT or j >= _INPUT):
+                if c.literal and not (_is_driven(i) and _is_driven(j)):
                     w.Q_d[i, j] = 0.0
                 total = 0.0
                 for a in range(3):
                     total += noise.root[i, a] * noise.root[j, a]
                 w.Q_d[i, j] += dt * total
     error_state.propagate(nav.P, w, c.n)
+    if c.invariant:
+        error_state.bend(s, w, dt)
     nav.time_ns = to_ns
+
+
+@kernel
+def _set_coning(s: State, w: Workspace, c: Constants, sample_ns: int, in_doubt: bool) -> None:
+    """Coning of the sample with the one before, where there is one and both show the motion."""
+    channels, interval_ns = s.channels, sample_ns - s.channels.imu_ns
+    w.coning[:] = 0.0
+    if in_doubt or channels.equal[3] == 0 or interval_ns > c.gap_ns:
+        return
+    rotate(w.w_before, c.C_b_i, channels.reading[3:])
+    for i in range(3):
+        w.w_before[i] -= s.nav.b_w[i]
+    strapdown.coning(w.coning, w.w_before, w.w_hat, interval_ns * 1e-9)
 
 
 @kernel
@@ -223,7 +250,7 @@ class Filter:
             constants=self.constants,
             workspace=self._workspace,
         )
-        self._start = start.Start(parameters.initial, parameters.origin, self.vehicle, blocks)
+        self._start = Start(parameters.initial, parameters.origin, self.vehicle, blocks)
         self.process_noise = source_of(parameters.process_noise, self.C_b_i)
         self._fill_constants()
         c = self.constants[0]
@@ -265,15 +292,15 @@ class Filter:
 
     def locate(self, state: Records, origin: Origin) -> None:
         """Odom's origin on the Earth becomes known; the first one counts."""
-        start.locate(state[0], origin)
+        locate(state[0], origin)
 
     def initialise(self, state: Records, initial: Initial, stamp_ns: int, w_ib_b: Array) -> None:
-        """The state becomes `initial`, see `start.Start.initialise`."""
+        """The state becomes `initial`, see `Start.initialise`."""
         if self._start.initialise(state, initial, stamp_ns, w_ib_b):
             self._trust_nothing(state[0])
 
     def await_start(self, state: Records, sample: Imu, reading: Array) -> None:
-        """An uninitialised state sees a sample, and may start from it, see `start.Start.see`."""
+        """An uninitialised state sees a sample, and may start from it, see `Start.see`."""
         if self._start.see(state, sample, reading):
             self._trust_nothing(state[0])
 
@@ -341,20 +368,24 @@ class Filter:
         """Covariance (..., n, n) of the error states in use, of records (...)."""
         return np.asarray(states["nav"]["P"][..., : self.n, : self.n])
 
-    def turn_average_ns(self, event: Measurement) -> int:
-        """Time over which the turn rate is averaged for a measurement; 0 takes one sample."""
-        return self.models[event.name].turn_average_ns
+    def turn_window_ns(self, event: Measurement) -> int:
+        """Time before a measurement that its turn rate is taken from; 0 takes one sample."""
+        return self.models[event.name].turn_window_ns
+
+    def sample_variance(self, state: Records) -> Array:
+        """Variance (3,) of one sample of the angular rate [(rad/s)^2], base_link axes."""
+        return np.diag(sample_variance_w(state[0], self.vehicle)).copy()
 
     def update(
-        self, state: Records, event: Measurement, w_ib_b: Array, samples: int
+        self, state: Records, event: Measurement, w_ib_b: Array, share: Array | float
     ) -> UpdateReport:
         """Correct the state, which must be at the measurement's stamp.
 
         Args:
             state: (1,) record.
             event: The measurement.
-            w_ib_b: (3,) mean angular rate up to the stamp [rad/s], base_link axes.
-            samples: Number of samples in that mean.
+            w_ib_b: (3,) angular rate at the stamp [rad/s], base_link axes.
+            share: (3,) its variance, in units of that of one sample.
         """
         s, model, gate = state[0], self.models[event.name], self._gates[event.name]
         memory, stamp_ns = s["gate"][event.name], event.stamp_ns
@@ -365,7 +396,7 @@ class Filter:
         if reason:
             nan = np.full((model.rows, model.rows), np.nan)
             return UpdateReport(event.name, nan[0], nan, np.nan, False, reason)
-        turn = self._turn(s, w_ib_b, samples)
+        turn = self._turn(s, w_ib_b, share)
         linearised = model.linearise(state, event, turn)
         R = gate.doubted(s, stamp_ns, linearised.R)
         now = kalman.innovate(s["nav"]["P"], linearised.z_minus_h, linearised.H, R)
@@ -398,6 +429,8 @@ class Filter:
             lambda: model.linearise(state, event, turn),
             iterate=self.vehicle.invariant,
         )
+        if self.vehicle.invariant and now.H[:, HORIZONTAL_POSITION].any():
+            coordinates.move_reference(s)
         self._gates[event.name].accept(s, stamp_ns, nis, left)
         if model.tells_velocity:
             judged_ns = s["gate"][event.name]["judged_ns"]
@@ -408,9 +441,9 @@ class Filter:
     def _report(event: Measurement, now: Innovated, accepted: bool, reason: str) -> UpdateReport:
         return UpdateReport(event.name, now.innovation, now.S, now.nis, accepted, reason)
 
-    def _turn(self, s: State, w_ib_b: Array, samples: int) -> Turn:
+    def _turn(self, s: State, w_ib_b: Array, share: Array | float) -> Turn:
         """The turn rate at a measurement, and what is not known of it."""
-        covariance = start.sample_variance_w(s, self.vehicle) / samples
+        covariance = sample_variance_w(s, self.vehicle) * np.sqrt(np.outer(share, share))
         if channels.in_doubt(s):
             w_ib_b, unseen = channels.seen_rate(s, self.constants[0], w_ib_b)
             covariance = covariance + unseen

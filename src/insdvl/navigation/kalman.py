@@ -4,6 +4,7 @@ What a measurement is, where it comes from and whether it is believed is decided
 (measurements/, gate.py); here are only the equations, the same for every sensor.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -11,14 +12,20 @@ import numpy as np
 
 from insdvl.arrays import Array, Records
 from insdvl.kernels import kernel
-from insdvl.navigation import error_state
-from insdvl.navigation.error_state import ATTITUDE, VELOCITY
+from insdvl.navigation import coordinates
+from insdvl.navigation.error_state import ATTITUDE, POSITION, VELOCITY
+from insdvl.navigation.geometry.rotation import exponential, rotate
 from insdvl.navigation.measurements.base import Linearised
 
-#: An update is iterated while h bends by more than the mean sigma of R, but not for ever: each
-#: iteration leaves a fraction.
+#: An update is iterated where h bends by the mean sigma of R, and by a part from half of it on.
 _BEND = 1.0  # (sigma)^2
-_ITERATIONS = 10
+#: The iteration ends where what is left of that is negligible, in (sigma)^2, but not never.
+_SETTLED = 1e-6
+_STEPS = 10
+#: The product of tilt and velocity error counts from this part of R on.
+_PRODUCT = 1e-3
+# First elements of blocks, for the kernel.
+_V, _A, _DOWN = VELOCITY.start, ATTITUDE.start, 2
 #: Smallest pivot of S, relative to its diagonal: below it the gain would be rounding.
 _LEAST_PIVOT = 1e-10
 
@@ -162,10 +169,26 @@ def _joseph(P: Array, H: Array, K: Array, R: Array) -> None:
 
 
 @kernel
+def _inject(state: Records, constants: Records, dx: Array) -> None:
+    coordinates.inject(state[0], constants[0], dx)
+
+
+@kernel
 def _correct(
-    state: Records, constants: Records, H: Array, K: Array, R: Array, innovation: Array
+    state: Records,
+    constants: Records,
+    H: Array,
+    K: Array,
+    R: Array,
+    innovation: Array,
+    mean: Array,
+    product: bool,
 ) -> None:
-    """Joseph form, then the injection of K nu."""
+    """Joseph form, then the injection of K nu.
+
+    With ``product`` the velocity error of P, H and K is dv' of `_correct_body_velocity`, and
+    ``mean`` that of t x dv.
+    """
     n, m = K.shape
     dx = np.empty(n)
     for i in range(n):
@@ -173,8 +196,157 @@ def _correct(
         for a in range(m):
             total += K[i, a] * innovation[a]
         dx[i] = total
-    _joseph(state[0].nav.P, H, K, R)
-    error_state.inject(state[0], constants[0], dx)
+    P = state[0].nav.P
+    _joseph(P, H, K, R)
+    if product:
+        turn, scratch, dv = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+        exponential(turn, scratch, dx[_A], dx[_A + 1], 0.0)
+        for i in range(3):
+            dv[i] = dx[_V + i] - mean[i]
+        rotate(dx[_V : _V + 3], turn, dv)
+        _turn_velocity(P, turn, n)
+    _inject(state, constants, dx)
+
+
+@kernel
+def _turn_velocity(P: Array, turn: Array, n: int) -> None:
+    """The velocity error of P in turned axes."""
+    column, turned = np.empty(3), np.empty(3)
+    for j in range(n):
+        for i in range(3):
+            column[i] = P[_V + i, j]
+        rotate(turned, turn, column)
+        for i in range(3):
+            P[_V + i, j] = turned[i]
+    for i in range(n):
+        for j in range(3):
+            column[j] = P[i, _V + j]
+        rotate(turned, turn, column)
+        for j in range(3):
+            P[i, _V + j] = turned[j]
+    for i in range(3):  # the sums of two mirrored elements are rounded in different orders
+        for j in range(n):
+            P[j, _V + i] = P[_V + i, j]
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A correction of the prior.
+
+    Attributes:
+        dx: (n,) error of the prior state that it removes.
+        P: (n, n) covariance behind it, with h as it is there.
+        K: (n, m) gain.
+        left: (m,) innovation that is left.
+        bend: Square of what is left beside what a linear h leaves, in mean variances of R.
+    """
+
+    dx: Array
+    P: Array
+    K: Array
+    left: Array
+    bend: float
+
+
+class _Iteration:
+    """Gauss-Newton steps of one update with a position, all from the same prior.
+
+    Args:
+        state: (1,) record, at the prior; each step leaves it corrected, but for P.
+        constants: (1,) of the filter.
+        prior: The measurement at the predicted state.
+        relinearise: Linearises the measurement again at the state as it is then.
+    """
+
+    def __init__(
+        self,
+        state: Records,
+        constants: Records,
+        prior: Innovated,
+        relinearise: Callable[[], Linearised],
+    ) -> None:
+        self._state, self._constants, self._relinearise = state, constants, relinearise
+        self._before, self._next = state.copy(), prior
+
+    @property
+    def can_go_on(self) -> bool:
+        """Whether S of the next step is positive definite, and its innovation finite."""
+        return bool(np.isfinite(self._next.nis))
+
+    def step(self) -> _Step:
+        """The next correction."""
+        now, state = self._next, self._state
+        n, R, P_0 = len(now.K), now.R, self._before["nav"]["P"][0]
+        state[:] = self._before
+        dx = now.K @ now.innovation
+        _correct(state, self._constants, now.H, now.K, R, now.innovation, np.zeros(3), False)
+        again, T = self._relinearise(), coordinates.remaining(dx)
+        bend = again.z_minus_h - (now.innovation - now.H @ dx)
+        H = again.H @ T
+        self._next = innovate(P_0, again.z_minus_h + H @ dx, H, R)
+        there = self._next if self.can_go_on else now
+        # Joseph form with T inside, where large numbers cancel before they are squared.
+        A, B = T @ (np.eye(n) - there.K @ there.H), T @ there.K
+        P = A @ P_0[:n, :n] @ A.T + B @ R @ B.T
+        mean_variance = np.trace(R) / len(R)
+        return _Step(dx, (P + P.T) / 2, now.K, again.z_minus_h, float(bend @ bend) / mean_variance)
+
+
+@kernel
+def _product_moments(P: Array, mean: Array, covariance: Array) -> None:
+    """Mean (3,) and covariance (3, 3) of t x dv, for errors that are normal with P.
+
+    The tilt t has no down component. Of normal a, b, c, d:
+    Cov(a b, c d) = Cov(a, c) Cov(b, d) + Cov(a, d) Cov(b, c).
+    """
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        mean[i] = 0.0
+        if j != _DOWN:
+            mean[i] += P[_A + j, _V + k]
+        if k != _DOWN:
+            mean[i] -= P[_A + k, _V + j]
+        for r in range(3):
+            s, t = (r + 1) % 3, (r + 2) % 3
+            covariance[i, r] = (
+                _of_products(P, j, k, s, t)
+                - _of_products(P, j, k, t, s)
+                - _of_products(P, k, j, s, t)
+                + _of_products(P, k, j, t, s)
+            )
+
+
+@kernel
+def _of_products(P: Array, j: int, k: int, m: int, n: int) -> float:
+    """Covariance of t_j dv_k and t_m dv_n."""
+    if j == _DOWN or m == _DOWN:
+        return 0.0
+    of_equal = P[_A + j, _A + m] * P[_V + k, _V + n]
+    return of_equal + P[_A + j, _V + n] * P[_A + m, _V + k]
+
+
+def _correct_body_velocity(
+    state: Records, constants: Records, prior: Innovated, relinearise: Callable[[], Linearised]
+) -> tuple[Array, Array]:
+    """Correct with a measurement of the body velocity, see `correct`.
+
+    With dv = R_t dv' the measurement tells dv' whatever tilt and heading are, and
+    dv' = dv - t x dv to second order: its covariance is that of dv and of the product.
+    """
+    H, R, P = prior.H, prior.R, state[0]["nav"]["P"]
+    mean, covariance, H_v = np.empty(3), np.empty((3, 3)), H[:, VELOCITY]
+    _product_moments(P, mean, covariance)
+    K, innovation, product = prior.K, prior.innovation, False
+    if np.trace(H_v @ covariance @ H_v.T) > _PRODUCT * np.trace(R):
+        before = P[VELOCITY, VELOCITY].copy()
+        P[VELOCITY, VELOCITY] += covariance
+        now = innovate(P, innovation + H_v @ mean, H, R)
+        if np.isfinite(now.nis):
+            K, innovation, product = now.K, now.innovation, True
+        else:
+            P[VELOCITY, VELOCITY] = before
+    _correct(state, constants, H, K, R, innovation, mean, product)
+    return K, relinearise().z_minus_h
 
 
 def correct(
@@ -187,54 +359,47 @@ def correct(
 ) -> tuple[Array, Array]:
     """Correct a state with a measurement, in place.
 
-    After a long outage the correction can be so large that h is not linear over it: the product
-    of a turn psi and a change of velocity dv is missed. Where what is left of the innovation is
-    not what a linear h leaves, the update is iterated from the same prior with h at the
-    corrected state (Gauss-Newton; Bell and Cathey, IEEE Transactions on Automatic Control
-    38(2), 1993).
+    After a long outage the correction can be so large that h is not linear over it.
+
+    A body velocity tells R_t^T dv, of which H has dv. So it corrects that product, whose covariance
+    is taken to second order: no iteration is needed, and the state is continuous in the
+    measurement.
+
+    A measurement of the position tells it in metres, whatever the heading is: its covariance is
+    that with H at the corrected state. Where what is left of the innovation is not what a linear h
+    leaves, the update is iterated from the same prior with h at the corrected state (Gauss-Newton;
+    Bell and Cathey, IEEE Transactions on Automatic Control 38(2), 1993). The iteration fades in, so
+    that here, too, the state is continuous.
 
     Args:
         state: (1,) record.
         constants: (1,) of the filter.
         prior: The measurement at the predicted state.
         relinearise: Linearises the measurement again at the state as it is then.
-        iterate: Whether to iterate; the published filter corrects once.
+        iterate: Whether to do so; the published filter corrects once, linearly.
 
     Returns:
         The gain (n, m) at the prediction, and the innovation (m,) that is left.
     """
-    before = state.copy()
-    R, n = prior.R, len(prior.K)
-    P = before["nav"]["P"][0][:n, :n]
-    H, K, innovation = prior.H, prior.K, prior.innovation
-    T = np.eye(n)  # errors of the corrected state, by those of the prior that are left
-    smallest, corrected, used, left = np.inf, state.copy(), (H, K, T), prior.innovation
-    for _ in range(_ITERATIONS):
-        dx = K @ innovation
-        expected = innovation - H @ dx
-        _correct(state, constants, H, K, R, innovation)
-        again = relinearise()
-        bend = again.z_minus_h - expected
-        size = bend @ bend / (np.trace(R) / len(R))
-        if size < smallest:  # should the iteration lead away, the best correction stands
-            smallest, corrected, used = size, state.copy(), (H, K, T)
-            left = again.z_minus_h
-        if size < _BEND or not np.isfinite(size) or not iterate:
-            break
-        T = np.eye(n)
-        T[VELOCITY, ATTITUDE] = error_state.cross_matrix(dx[VELOCITY])
-        H = again.H @ T
-        S = H @ P @ H.T + R
-        if not np.linalg.det(S) > 0.0:  # lost in rounding
-            break
-        K = np.ascontiguousarray(np.linalg.solve(S, H @ P).T)
-        innovation = again.z_minus_h + H @ dx
-        state[:] = before
-    state[:] = corrected
-    H, K, T = used
-    if T[VELOCITY, ATTITUDE].any():
-        # Joseph form with T inside, where large numbers cancel before they are squared.
-        A, B = T @ (np.eye(n) - K @ H), T @ K
-        P = A @ P @ A.T + B @ R @ B.T
-        state["nav"]["P"][0][:n, :n] = (P + P.T) / 2
-    return K, left
+    if not iterate:
+        none = np.zeros(3)
+        _correct(state, constants, prior.H, prior.K, prior.R, prior.innovation, none, False)
+        return prior.K, relinearise().z_minus_h
+    if not prior.H[:, POSITION].any():
+        return _correct_body_velocity(state, constants, prior, relinearise)
+    before, n = state.copy(), len(prior.K)
+    iteration = _Iteration(state, constants, prior, relinearise)
+    first = best = iteration.step()
+    share = 2.0 * math.sqrt(first.bend / _BEND) - 1.0
+    if not share > 0.0 or not math.isfinite(share):
+        state["nav"]["P"][0][:n, :n] = first.P
+        return first.K, first.left
+    share, steps = min(share, 1.0), 1
+    while steps < _STEPS and best.bend > _SETTLED and iteration.can_go_on:
+        now, steps = iteration.step(), steps + 1
+        if now.bend < best.bend:  # should the iteration lead away, the best correction stands
+            best = now
+    state[:] = before
+    _inject(state, constants, first.dx + share * (best.dx - first.dx))
+    state["nav"]["P"][0][:n, :n] = first.P + share * (best.P - first.P)
+    return best.K, relinearise().z_minus_h

@@ -16,6 +16,7 @@ from insdvl.navigation.error_state import (
     VELOCITY,
 )
 from insdvl.navigation.filter import LAYOUT, Filter
+from insdvl.navigation.geometry import earth, odom
 from insdvl.navigation.geometry.rotation import (
     cross,
     product,
@@ -35,11 +36,13 @@ class Odometry:
     Attributes:
         stamp_ns: Time of the state.
         position: (3,) in odom [m].
-        quaternion_xyzw: (4,) attitude of base_link in odom.
+        quaternion_xyzw: (4,) attitude of base_link in odom, tilt against the local level.
         pose_covariance: (6, 6) of position and of the rotation about odom's axes [m, rad].
         twist_linear: (3,) velocity in body axes [m/s].
         twist_angular: (3,) turn rate against odom in body axes [rad/s].
         twist_covariance: (6, 6) of both, in body axes.
+        place: (3,) latitude, longitude [rad] and height above the ellipsoid [m].
+        place_covariance: (3, 3) of metres north, east and down at the vehicle [m^2].
     """
 
     stamp_ns: int
@@ -49,6 +52,8 @@ class Odometry:
     twist_linear: Array
     twist_angular: Array
     twist_covariance: Array
+    place: Array
+    place_covariance: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,9 +74,10 @@ class Biases:
 
 
 # First elements of the blocks, for the kernel.
-_VELOCITY, _ATTITUDE, _GYROSCOPE_BIAS, _POSITION = (
+_VELOCITY, _ATTITUDE, _HEADING, _GYROSCOPE_BIAS, _POSITION = (
     VELOCITY.start,
     ATTITUDE.start,
+    ATTITUDE.stop - 1,
     GYROSCOPE_BIAS.start,
     POSITION.start,
 )
@@ -85,6 +91,11 @@ _OUTPUT = np.dtype(
         ("twist_linear", "f8", (3,)),
         ("twist_angular", "f8", (3,)),
         ("twist_covariance", "f8", (6, 6)),
+        ("place", "f8", (3,)),
+        ("place_covariance", "f8", (3, 3)),
+        ("local_covariance", "f8", (6, 6)),  # of the pose, in north, east, down at the vehicle
+        ("origin", "f8", (3,)),
+        ("to_odom", "f8", (6, 6)),
         ("J", "f8", (6, LAYOUT.size)),
         ("C", "f8", (1, 3, 3)),
         ("M1", "f8", (3, 3)),
@@ -94,6 +105,13 @@ _OUTPUT = np.dtype(
     ],
     align=True,
 )
+
+
+def position_in_odom(nav: State) -> Array:
+    """Position of the IMU in odom (..., 3) [m], as north, east, down, of groups ``nav`` (...)."""
+    origin = np.stack([nav["lat_0"], nav["lon_0"], nav["h_0"]], axis=-1).reshape(-1, 3)[-1]
+    p_o, _ = odom.in_odom(nav["llh"], origin)
+    return p_o
 
 
 def odometry(filter_: Filter, states: Records, k: int) -> Odometry:
@@ -109,6 +127,8 @@ def odometry(filter_: Filter, states: Records, k: int) -> Odometry:
         twist_linear=o["twist_linear"],
         twist_angular=o["twist_angular"],
         twist_covariance=o["twist_covariance"],
+        place=o["place"],
+        place_covariance=o["place_covariance"],
     )
 
 
@@ -116,7 +136,8 @@ def odometry(filter_: Filter, states: Records, k: int) -> Odometry:
 def _odometry(states: Records, k: int, constants: Records, out: Records) -> None:
     """base_link lies at -l from the IMU: p = p_imu - C l, v_b = C_b_n v_imu - w_nb x l.
 
-    With the errors of the model, dp_base = dp + [C l x] psi, and in body axes
+    With the errors of the model, dp_base = dp + [C l x] psi (less [x x] psi for `invariant`, x
+    being the position of the IMU from the reference), and in body axes
     dv_base = C_b_n dv (+ C_b_n [v x] psi for `ned`) - [l x] (db_w + n),  dw_nb = -(db_w + n),
     where n is the white noise of the one sample that the turn rate is measured with, and what its
     saturated or frozen channels do not see.
@@ -125,19 +146,45 @@ def _odometry(states: Records, k: int, constants: Records, out: Records) -> None
     C, J, M, N, x, y = s.nav.C_n_b, o.J, o.M1, o.M2, o.x1, o.x2
     n = c.n
 
+    # base_link's place, its position and the axes there against those of odom.
     rotate(x, C, c.l_b_imu)
+    o.place[:] = s.nav.llh
     for i in range(3):
-        y[i] = s.nav.p_n[i] - x[i]
+        y[i] = -x[i]
+    earth.move(o.place, y)
+    o.origin[0], o.origin[1], o.origin[2] = s.nav.lat_0, s.nav.lon_0, s.nav.h_0
+    odom.position(y, o.place, o.origin)
     rotate(o.position, c.nav, y)
-    product(N, c.nav, C)
+    odom.axes(M, o.place, o.origin)
+    odom.yaw_rotation(N, odom.convergence(M))
+    product(o.C[0], c.nav, N)
+    error_state.set_block(o.to_odom, 3, 3, 1.0, o.C[0])
+    odom.convergence_slope(y, o.place, o.origin)
+    for j in range(2):
+        o.to_odom[5, j] = c.nav[2, 2] * y[j]
+    odom.position_jacobian(N, M)
+    product(M, c.nav, N)
+    error_state.set_block(o.to_odom, 0, 0, 1.0, M)
+    product(N, o.C[0], C)
     product(o.C[0], N, c.body)
     quaternions(o.quaternion_xyzw, o.C)
+
+    if c.invariant:
+        earth.displacement(y, s.nav.llh_r, s.nav.llh)
+        for i in range(3):
+            x[i] -= y[i]
     skew(M, x)
-    product(N, c.nav, M)
-    error_state.set_block(J, 0, _ATTITUDE, 1.0, N)
-    error_state.set_block(J, 0, _POSITION, 1.0, c.nav)
-    error_state.set_block(J, 3, _ATTITUDE, 1.0, c.nav)
-    _congruence(o.pose_covariance, J, s.nav.P, n)
+    error_state.set_block(J, 0, _ATTITUDE, 1.0, M)
+    if c.invariant:
+        _shorten(J, s.nav.P[_HEADING, _HEADING])
+    for i in range(3):
+        J[i, _POSITION + i] = 1.0
+        J[3 + i, _ATTITUDE + i] = 1.0
+    _congruence(o.local_covariance, J, s.nav.P, n)
+    if c.invariant:
+        _add_arc(o.local_covariance, x, s.nav.P[_HEADING, _HEADING])
+    o.place_covariance[:] = o.local_covariance[:3, :3]
+    _congruence(o.pose_covariance, o.to_odom, o.local_covariance, 6)
 
     rotate_back(x, C, s.nav.v_n)
     cross(y, s.nav.w_nb_b, c.l_b_imu)
@@ -175,6 +222,30 @@ def _odometry(states: Records, k: int, constants: Records, out: Records) -> None
     for i in range(6):  # the sums of two mirrored elements are rounded in different orders
         for j in range(i):
             o.twist_covariance[j, i] = o.twist_covariance[i, j]
+
+
+@kernel
+def _shorten(J: Array, variance: float) -> None:
+    """The heading column of J for a position that a heading error turns: E[sin h h] / variance."""
+    for i in range(3):
+        J[i, _HEADING] *= np.exp(-0.5 * variance)
+
+
+@kernel
+def _add_arc(covariance: Array, x_n: Array, variance: float) -> None:
+    """Complete the covariance (6, 6) of the pose by the second moments of an arc, horizontally.
+
+    With a normal heading error h of that variance the true position lies at exp([h e_D x]) x from
+    the reference: beside x by sin(h) x, of which the Jacobian has the part that is linear in h, and
+    short of it by (1 - cos h) x. E[cos h] = exp(-variance / 2), E[cos 2h] = exp(-2 variance).
+    """
+    one, two = np.exp(-0.5 * variance), np.exp(-2.0 * variance)
+    beside = 0.5 * (1.0 - two) - one * one * variance
+    short = 1.0 - 2.0 * one + 0.5 * (1.0 + two)
+    beside_n = (-x_n[1], x_n[0])
+    for i in range(2):
+        for j in range(2):
+            covariance[i, j] += short * x_n[i] * x_n[j] + beside * beside_n[i] * beside_n[j]
 
 
 @kernel

@@ -5,13 +5,18 @@ import typing
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from insdvl.navigation.channels import ImuParameters
 from insdvl.navigation.gate import GateParameters
+from insdvl.navigation.geometry.earth import MAX_LATITUDE_DEG
+from insdvl.navigation.geometry.frames import CONVENTIONS
+from insdvl.navigation.geometry.odom import MAX_FROM_ORIGIN, place_of
 from insdvl.navigation.measurements.base import SensorParameters
 from insdvl.navigation.measurements.depth import DepthParameters
 from insdvl.navigation.measurements.dvl import DvlParameters
 from insdvl.navigation.process_noise.parameters import ProcessNoiseParameters
-from insdvl.navigation.start import InitialParameters, OriginParameters
+from insdvl.navigation.start.parameters import InitialParameters, OriginParameters
 from insdvl.parameters.declaration import ParameterError, check_frames, parameter
 
 _GRAVITY = 9.9  # m/s^2, more than anywhere on the Earth
@@ -128,8 +133,26 @@ class FilterParameters:
                 f"parameter 'imu.acceleration_range' must be 0 or more than gravity ({_GRAVITY} "
                 f"m/s^2), got {self.imu.acceleration_range!r}: it would be saturated at rest"
             )
+        if self.initial.mode == "gyrocompassing" and not self.earth_rate:
+            raise ParameterError(
+                "parameter 'initial.mode' must not be 'gyrocompassing' where earth_rate is false: "
+                "it finds the heading from the rotation of the Earth"
+            )
         check_frames(self.odom_frame, self.base_frame)
+        self._check_start()
         self._check_limits()
+
+    def _check_start(self) -> None:
+        """The start must be a place at which the filter navigates, where the parameters tell it."""
+        initial = self.initial
+        if self.origin.source != "parameters" or initial.mode not in ("parameters", "levelling"):
+            return
+        p_o = CONVENTIONS[self.frame_convention].nav @ np.array(initial.position)
+        if place_of(p_o, self.origin.place) is None:
+            raise ParameterError(
+                f"parameter 'initial.position' must be within {MAX_FROM_ORIGIN / 1e3:g} km of the "
+                f"origin and {MAX_LATITUDE_DEG:g} deg of latitude, got {initial.position!r}"
+            )
 
     def _check_limits(self) -> None:
         """A received Q is limited to floor and ceiling; the nominal one must be within them too."""

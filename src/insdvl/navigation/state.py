@@ -62,12 +62,16 @@ def _nav(n: int) -> tuple[Field, ...]:
     """The state at a time, at the IMU, in the axes of base_link and NED."""
     return (
         Field("time_ns", STAMP),  # of the state
+        Field("start_ns", STAMP),  # of the initial state
         Field("initialised", COUNT),
         # Origin of odom on the Earth: lat, lon [rad], h [m]
         *(Field(name, UNKNOWN) for name in ("lat_0", "lon_0", "h_0")),
         Field("C_n_b", NUMBER, (3, 3)),
         Field("v_n", NUMBER, (3,)),  # m/s
-        Field("p_n", NUMBER, (3,)),  # m from the origin
+        # Latitude, longitude [rad], height [m], and the same of the position error's reference
+        Field("llh", NUMBER, (3,)),
+        Field("llh_r", NUMBER, (3,)),
+        Field("bend_n", NUMBER, (2,)),  # of the path by the gyroscope's bias, one sigma, m
         Field("b_f", NUMBER, (3,)),  # accelerometer bias, m/s^2
         Field("b_w", NUMBER, (3,)),  # gyroscope bias, rad/s
         Field("optional", NUMBER, (n - CORE,)),  # states of the blocks that are on, in their order
@@ -132,10 +136,21 @@ _CHANNELS = (
 )
 
 _START = (
-    # Levelling: sum of the specific force, number of samples, stamp of the first
+    # Levelling: sums of specific force and angular rate, number of samples, stamp of the first
     Field("level_f", NUMBER, (3,)),
+    Field("level_w", NUMBER, (3,)),
     Field("level_count", COUNT),
     Field("level_ns", STAMP),
+    # Gyrocompassing, over many levellings: sum of both, number of samples, stamp of the first,
+    # number of comparisons of a block with those before it, and sum of their squared misfits
+    Field("rest_sum", NUMBER, (6,)),
+    Field("rest_count", COUNT),
+    Field("rest_ns", STAMP),
+    Field("rest_blocks", COUNT),
+    Field("rest_nis", NUMBER),
+    # What has become of it, and the number that led to it, see gyrocompass.py
+    Field("compass", COUNT),
+    Field("compass_number", NUMBER),
 )
 
 _COUNTERS = (
@@ -150,6 +165,8 @@ _COUNTERS = (
     Field("without_origin", COUNT),
     Field("too_old", COUNT),  # initial states from long before the first sample
     Field("not_level", COUNT),  # levellings that were restarted
+    Field("off_the_map", COUNT),  # initial states at no place that the filter could navigate at
+    Field("beyond_latitude", COUNT),  # steps that ended at the largest latitude
 )
 
 #: Counters in the state record, by their names in diagnostics.
@@ -275,6 +292,11 @@ def workspace_type(n: int) -> np.dtype[np.void]:
             ("f_n", "f8", (3,)),  # specific force
             ("g_n", "f8", (3,)),
             ("v_n", "f8", (3,)),
+            ("x_n", "f8", (3,)),  # position from the reference
+            # Cosine of the latitude, and radii in the meridian and the prime vertical plus height
+            ("cosine_lat", "f8"),
+            ("R_N", "f8"),
+            ("R_E", "f8"),
             ("w_ie_n", "f8", (3,)),
             ("w_en_n", "f8", (3,)),
             ("w_in_n", "f8", (3,)),
@@ -282,6 +304,9 @@ def workspace_type(n: int) -> np.dtype[np.void]:
             # Readings without bias, and without the channels that are frozen
             ("f_hat", "f8", (3,)),
             ("w_hat", "f8", (3,)),
+            # Angular rate of the sample before, without bias, and what the two make by coning
+            ("w_before", "f8", (3,)),
+            ("coning", "f8", (3,)),
             # Density of the motion that the channels of the IMU do not see, in its axes, what of
             # their turn is about the vertical and not told by a measurement, and which are frozen
             ("unseen", "f8", (6,)),
@@ -290,6 +315,9 @@ def workspace_type(n: int) -> np.dtype[np.void]:
             # Densities of the input noise over the step
             ("S_f", "f8", (3, 3)),
             ("S_w", "f8", (3, 3)),
+            # Of the Earth's rotation with an uncertain heading: slope, and density north and east
+            ("heading_slope", "f8"),
+            ("heading_rest", "f8", (2,)),
             # Scratch of the mechanisation: turns over the step and their means, and vectors
             ("turn", "f8", (3, 3)),
             ("mean_turn", "f8", (3, 3)),
@@ -298,10 +326,12 @@ def workspace_type(n: int) -> np.dtype[np.void]:
             ("rotated", "f8", (3, 3)),
             ("coriolis", "f8", (3,)),  # 2 w_ie + w_en
             ("a_n", "f8", (3,)),
+            ("d_n", "f8", (3,)),
             ("w_in_b", "f8", (3,)),
             ("g_b", "f8", (3,)),
-            # Scratch of the error dynamics and the input noise: [v x], another [a x], a block
+            # Scratch of the error dynamics and the input noise: [v x], [x x], another, a block
             ("v_x", "f8", (3, 3)),
+            ("x_x", "f8", (3, 3)),
             ("a_x", "f8", (3, 3)),
             ("block", "f8", (3, 3)),
             # Error dynamics and discretisation

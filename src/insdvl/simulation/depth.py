@@ -43,19 +43,16 @@ class DepthModel:
         return replace(self, lever_arm=tuple(convention.body @ self.lever_arm))
 
 
-def ideal_pressure(truth: Truth, model: DepthModel, lat_0: float, h_0: float) -> Array:
+def ideal_pressure(truth: Truth, model: DepthModel) -> Array:
     """Absolute pressure (N,) [Pa] at the sensor.
 
     Args:
         truth: At the times of the readings.
         model: With its lever arm in forward-right-down.
-        lat_0: Latitude of the origin [rad].
-        h_0: Height of the origin above the ellipsoid [m].
     """
-    down = truth.p_n[:, 2] + truth.C_n_b[:, 2, :] @ np.array(model.lever_arm)
-    depth = model.surface_height - h_0 + down
-    g = np.array([gravity(lat_0, h_0 - float(d)) for d in down])
-    return model.atmospheric_pressure + model.water_density * g * depth
+    height = truth.llh[:, 2] - truth.C_n_b[:, 2, :] @ np.array(model.lever_arm)
+    g = np.array([gravity(*place) for place in zip(truth.llh[:, 0], height, strict=True)])
+    return model.atmospheric_pressure + model.water_density * g * (model.surface_height - height)
 
 
 def pressure_noise(model: DepthModel, lat_0: float, size: int, rng: np.random.Generator) -> Array:

@@ -35,11 +35,13 @@ class Grade:
         return np.repeat(densities * rate, 3)
 
     def imu(self, rate: float = 100.0) -> ImuModel:
-        """The simulated IMU; its white noise is a profile of `variances`."""
+        """The simulated IMU; its biases stay, its white noise is a profile of `variances`."""
         return ImuModel(
             rate=rate,
             accelerometer_bias_std=self.accelerometer_bias,
             gyroscope_bias_std=self.gyroscope_bias,
+            accelerometer_bias_walk=0.0,
+            gyroscope_bias_walk=0.0,
         )
 
 

@@ -18,8 +18,8 @@ def drawn_initial(
 ) -> Initial:
     """The truth with a random error of attitude, position and velocity.
 
-    The errors are independent, in this order of draws: rotation vector about navigation axes,
-    position, velocity in the frame ``sigma.velocity_frame``.
+    The errors are independent, in this order of draws: rotation vector about odom's axes, position,
+    velocity in the frame ``sigma.velocity_frame``.
 
     Args:
         truth: Its first state is used.
@@ -28,16 +28,16 @@ def drawn_initial(
         stamp_ns: Stamp of the event.
         with_position: False keeps the true position and draws nothing for it.
     """
-    C_n_b, v_n = truth.C_n_b[0], truth.v_n[0]
+    C_o_b, v_b = truth.C_o_b[0], truth.C_n_b[0].T @ truth.v_n[0]
     psi = rng.standard_normal(3) * sigma.attitude_std
-    p_n = truth.p_n[0]
+    p_o = truth.p_o[0]
     if with_position:
-        p_n = p_n + sigma.position_std * rng.standard_normal(3)
-    v = C_n_b.T @ v_n if sigma.velocity_frame == "body" else v_n
+        p_o = p_o + sigma.position_std * rng.standard_normal(3)
+    v = v_b if sigma.velocity_frame == "body" else C_o_b @ v_b
     return Initial(
         stamp_ns=stamp_ns,
-        C_n_b=Rotation.from_rotvec(-psi).as_matrix() @ C_n_b,
-        p_n=p_n,
+        C_o_b=Rotation.from_rotvec(-psi).as_matrix() @ C_o_b,
+        p_o=p_o,
         v=v + sigma.velocity_std * rng.standard_normal(3),
         velocity_frame=sigma.velocity_frame,
     )

@@ -144,11 +144,11 @@ def _states(
     stamps_ns: Any, truth: Truth, new: NewMessage, form: StreamFormat, every: int
 ) -> Iterator[Timed]:
     nav, body = form.convention.nav, form.convention.body
-    C_n_b = truth.C_n_b[::every]
+    C_n_b, C_o_b = truth.C_n_b[::every], truth.C_o_b[::every]
     rows = zip(
         (stamps_ns[::every] + form.start_ns).tolist(),
-        truth.p_n[::every] @ nav.T,
-        quaternion_from_rotation(form.convention.attitude(C_n_b)),
+        truth.p_o[::every] @ nav.T,
+        quaternion_from_rotation(form.convention.attitude(C_o_b)),
         np.einsum("kji,kj->ki", C_n_b, truth.v_n[::every]) @ body.T,
         truth.w_nb_b[::every] @ body.T,
         strict=True,

@@ -163,7 +163,7 @@ def simulate(
 
     depth_ns = _stamps(duration, depth.rate)
     dives = trajectory.truth(np.minimum(depth_ns / NS, duration), earth_rate=earth_rate)
-    pressure = ideal_pressure(dives, depth, trajectory.lat_0, trajectory.h_0)
+    pressure = ideal_pressure(dives, depth)
     pressure += pressure_noise(depth, trajectory.lat_0, depth_ns.size, depth_rng)
     return Mission(
         start_ns=start_ns,

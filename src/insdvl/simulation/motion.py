@@ -11,16 +11,21 @@ follow in closed form from the functions and their derivatives:
     f_b  = C_b_n (a_n + (2 w_ie_n + w_en_n) x v_n - g_n)
     w_ib_b = w_nb_b + C_b_n (w_ie_n + w_en_n)
 
-Position is the only integral without a closed form. v_n is expanded in Legendre polynomials on
-segments of one second, at the Gauss nodes, and the expansions are integrated; the error is at the
-rounding (below 1e-10 m in an hour).
+Position is the only integral without a closed form:
+
+    lat' = v_N / (R_N + h),  lon' = v_E / ((R_E + h) cos lat),  h' = -v_D
+
+The rates are expanded in Legendre polynomials on segments of one second, at the Gauss nodes, and
+the expansions are integrated. Height needs v_n alone, longitude the latitude; the latitude, on
+which its own rate depends through R_N, is found by Picard's iteration. The error is that of the
+rounding of an angle, 1e-9 m on the ground.
 
 Sources: the Euler rates are Groves (2013), equation (2.58); f_b and w_ib_b are (5.53) and (5.44)
 solved for the sensors. Frames are north-east-down and forward-right-down.
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import radians
 
@@ -30,12 +35,23 @@ from numpy.typing import ArrayLike
 
 from insdvl.arrays import Array
 from insdvl.kernels import kernel
-from insdvl.navigation.geometry.earth import earth_rate_n, gravity, latitude, transport_rate_n
+from insdvl.navigation.geometry import odom
+from insdvl.navigation.geometry.earth import (
+    MAX_LATITUDE,
+    MAX_LATITUDE_DEG,
+    earth_rate_n,
+    gravity,
+    radii,
+    transport_rate_n,
+    wrapped,
+)
 
 Tables = tuple[Array, Array, Array]
 
 _NODES = 20  # per segment; the truncation of v_n is then far below the rounding
 _SEGMENT = 1.0  # s
+_PICARD = 50  # steps; each gains two digits over 1000 km
+_LATITUDE_STEP = 1e-15  # rad, 6e-9 m
 _FAR = 40.0  # exp(-40) is below the rounding of 1
 
 
@@ -102,7 +118,9 @@ class Truth:
 
     Attributes:
         t: (N,) time from the start [s].
-        p_n: (N, 3) metres from the origin, p_n' = v_n.
+        llh: (N, 3) latitude, longitude [rad] and height [m].
+        p_o: (N, 3) position in odom [m] (navigation/geometry/odom.py).
+        gamma: (N,) angle of local north in odom [rad].
         v_n: (N, 3) velocity [m/s].
         a_n: (N, 3) v_n' [m/s^2].
         C_n_b: (N, 3, 3) body to navigation.
@@ -112,13 +130,25 @@ class Truth:
     """
 
     t: Array
-    p_n: Array
+    llh: Array
+    p_o: Array
+    gamma: Array
     v_n: Array
     a_n: Array
     C_n_b: Array
     f_b: Array
     w_ib_b: Array
     w_nb_b: Array
+
+    @property
+    def C_o_b(self) -> Array:  # noqa: N802
+        """(N, 3, 3) attitude in odom: tilt against the local level, yaw against odom's axes."""
+        return odom.turned(self.C_n_b, self.gamma)
+
+    def in_odom_at(self, origin: ArrayLike) -> "Truth":
+        """The same motion in an odom with another origin (3,): latitude, longitude, height."""
+        p_o, gamma = odom.in_odom(self.llh, np.array(origin))
+        return replace(self, p_o=p_o, gamma=gamma)
 
 
 @dataclass(frozen=True)
@@ -133,9 +163,9 @@ class Trajectory:
         roll: Part of phi without the bank in turns [rad].
         bank: Roll per rate of turn [s].
         pivot: Distance from the origin of the body frame forward to the point without sideslip [m].
-        lat_0: Geodetic latitude of p_n = 0 [rad].
-        lon_0: Longitude of p_n = 0 [rad].
-        h_0: Height of p_n = 0 above the ellipsoid [m].
+        lat_0: Geodetic latitude of the start, which is the origin of odom [rad].
+        lon_0: Its longitude [rad].
+        h_0: Its height above the ellipsoid [m].
     """
 
     duration: float
@@ -148,6 +178,11 @@ class Trajectory:
     lat_0: float = radians(32.0)
     lon_0: float = radians(34.0)
     h_0: float = -5.0
+
+    @property
+    def origin(self) -> Array:
+        """(3,) latitude, longitude [rad] and height [m] of the start."""
+        return np.array([self.lat_0, self.lon_0, self.h_0])
 
     def truth(self, t: ArrayLike, *, earth_rate: bool = True) -> Truth:
         """The truth at times t (N,) [s].
@@ -167,9 +202,14 @@ class Trajectory:
                 f"time must be within 0 to {self.duration:g} s, got {t[outside].flat[0]!r}"
             )
         n = t.size
+        llh = np.empty((n, 3))
+        _place(t, _SEGMENT, self._place_table, self.origin, llh)
+        p_o, gamma = odom.in_odom(llh, self.origin)
         truth = Truth(
             t=t,
-            p_n=np.empty((n, 3)),
+            llh=llh,
+            p_o=p_o,
+            gamma=gamma,
             v_n=np.empty((n, 3)),
             a_n=np.empty((n, 3)),
             C_n_b=np.empty((n, 3, 3)),
@@ -178,13 +218,10 @@ class Trajectory:
             w_nb_b=np.empty((n, 3)),
         )
         self._fill_motion(t, truth.C_n_b, truth.v_n, truth.a_n, truth.w_nb_b)
-        _position(t, _SEGMENT, self._position_table, truth.p_n)
         _sensors(
-            self.lat_0,
-            self.h_0,
             earth_rate,
             truth.C_n_b,
-            truth.p_n,
+            truth.llh,
             truth.v_n,
             truth.a_n,
             truth.w_nb_b,
@@ -209,8 +246,8 @@ class Trajectory:
         )
 
     @cached_property
-    def _position_table(self) -> Array:
-        """Legendre coefficients (K, _NODES + 1, 3) of p_n on each segment of the trajectory."""
+    def _place_table(self) -> Array:
+        """Legendre coefficients (K, _NODES + 1, 3) of llh less the origin's, on each segment."""
         segments = max(1, math.ceil(self.duration / _SEGMENT))
         x, w = legendre.leggauss(_NODES)
         t = (np.arange(segments)[:, None] + (x + 1.0) / 2.0) * _SEGMENT
@@ -218,14 +255,39 @@ class Trajectory:
         scratch = np.empty((t.size, 3))
         C_n_b = np.empty((t.size, 3, 3))
         self._fill_motion(t.ravel(), C_n_b, v_n, scratch, scratch)
-        # Gauss quadrature of v_n P_k is exact up to the resolution of the nodes.
-        projection = legendre.legvander(x, _NODES - 1).T * w
-        projection *= (np.arange(_NODES) + 0.5)[:, None]
-        coefficients = projection @ v_n.reshape(segments, _NODES, 3)
-        table = legendre.legint(coefficients, lbnd=-1.0, scl=_SEGMENT / 2.0, axis=1)
-        lengths = table.sum(axis=1)  # P_k(1) = 1: the displacement over each segment
-        table[1:, 0] += np.cumsum(lengths[:-1], axis=0)
-        return np.ascontiguousarray(table)
+        north, east, down = np.moveaxis(v_n.reshape(segments, _NODES, 3), 2, 0)
+        values = legendre.legvander(x, _NODES).T  # of a table at the nodes
+
+        height = _integral(-down, x, w)
+        h, lat = self.h_0 + height @ values, np.full(t.shape, self.lat_0)
+        for _ in range(_PICARD):
+            R_N, R_E = radii(lat)  # type: ignore[arg-type]
+            latitude = _integral(north / (R_N + h), x, w)
+            before, lat = lat, self.lat_0 + latitude @ values
+            if np.abs(lat - before).max() < _LATITUDE_STEP:
+                break
+        else:
+            raise ValueError("the trajectory goes too far for its latitude to converge")
+        if np.abs(lat).max() > MAX_LATITUDE:
+            raise ValueError(f"the trajectory goes beyond {MAX_LATITUDE_DEG:g} deg of latitude")
+        longitude = _integral(east / ((R_E + h) * np.cos(lat)), x, w)
+        return np.ascontiguousarray(np.stack([latitude, longitude, height], axis=2))
+
+
+def _integral(rate: Array, x: Array, w: Array) -> Array:
+    """Legendre coefficients (K, _NODES + 1) of the integral of a rate at nodes (K, _NODES), from 0.
+
+    Args:
+        rate: Of K segments that follow each other.
+        x: Gauss nodes within +-1.
+        w: Their weights.
+    """
+    # Gauss quadrature of the rate times P_k is exact up to the resolution of the nodes.
+    projection = legendre.legvander(x, _NODES - 1) * w[:, None] * (np.arange(_NODES) + 0.5)
+    table = legendre.legint(rate @ projection, lbnd=-1.0, scl=_SEGMENT / 2.0, axis=1)
+    lengths = table.sum(axis=1)  # P_k(1) = 1: the change over each segment
+    table[1:, 0] += np.cumsum(lengths[:-1])
+    return np.asarray(table, dtype=np.float64)
 
 
 @kernel
@@ -306,28 +368,29 @@ def _motion(
 
 
 @kernel
-def _position(t: Array, segment: float, table: Array, p_n: Array) -> None:
-    """Sum of the Legendre series of the segment that holds each time (N,) into ``p_n`` (N, 3)."""
+def _place(t: Array, segment: float, table: Array, origin: Array, llh: Array) -> None:
+    """The origin and the Legendre series of the segment of each time (N,) into ``llh`` (N, 3)."""
     segments, terms = table.shape[0], table.shape[1]
     for i in range(t.size):
         k = min(int(t[i] / segment), segments - 1)
         x = 2.0 * (t[i] / segment - k) - 1.0
         p_before, p = 1.0, x
         for j in range(3):
-            p_n[i, j] = table[k, 0, j] + table[k, 1, j] * x
+            llh[i, j] = table[k, 0, j] + table[k, 1, j] * x
         for n in range(2, terms):  # n P_n = (2 n - 1) x P_(n-1) - (n - 1) P_(n-2)
             p_before, p = p, ((2 * n - 1) * x * p - (n - 1) * p_before) / n
             for j in range(3):
-                p_n[i, j] += table[k, n, j] * p
+                llh[i, j] += table[k, n, j] * p
+        for j in range(3):
+            llh[i, j] += origin[j]
+        llh[i, 1] = wrapped(llh[i, 1])
 
 
 @kernel
 def _sensors(
-    lat_0: float,
-    h_0: float,
     earth_rate: bool,
     C_n_b: Array,
-    p_n: Array,
+    llh: Array,
     v_n: Array,
     a_n: Array,
     w_nb_b: Array,
@@ -336,9 +399,8 @@ def _sensors(
 ) -> None:
     """Specific force and angular rate of N states into ``f_b`` and ``w_ib_b`` (N, 3)."""
     w_ie, w_en = np.zeros(3), np.zeros(3)
-    for i in range(p_n.shape[0]):
-        lat = latitude(lat_0, h_0, p_n[i, 0])
-        h = h_0 - p_n[i, 2]
+    for i in range(llh.shape[0]):
+        lat, h = llh[i, 0], llh[i, 2]
         if earth_rate:
             earth_rate_n(lat, w_ie)
             transport_rate_n(lat, h, v_n[i], w_en)

@@ -38,7 +38,7 @@ from insdvl.timeline.output import (
     outputs_of,
     split,
 )
-from insdvl.timeline.samples import Samples, mean_rate
+from insdvl.timeline.samples import Samples, rate_at
 
 #: So many samples may be on their way to the filter (of one that is starved, in the queues of
 #: sender and receiver) while what was measured with the newest of them is there already.
@@ -63,7 +63,7 @@ class Fold:
         # A measurement, or a Q, may be ahead of the samples by so much.
         self._ahead_ns = max(self._jump_limit_ns, round(MAX_QUEUE / parameters.imu.rate * NS))
         self._near_ns = max(self._max_delay_ns, self._max_gap_ns)  # samples of one time
-        self._turn_average_ns = max(model.turn_average_ns for model in self.filter.models.values())
+        self._turn_window_ns = max(model.turn_window_ns for model in self.filter.models.values())
         self._apply_kind: dict[int, Callable[[Records, int, int], None]] = {
             Origin.kind: self._apply_origin,
             Initial.kind: self._apply_initial,
@@ -289,12 +289,12 @@ class Fold:
     def _make_room(self) -> None:
         """Drop the samples and events that nothing can reach any more, or make more room.
 
-        What is kept reaches back by max_delay, and before that by the averaging of the turn rate.
+        What is kept reaches back by max_delay, and before that by the window of the turn rate.
         """
         self._fold()
         samples = self._samples
         oldest_ns = self._last_ns - self._max_delay_ns
-        reach_ns = min(oldest_ns, self._published_ns) - self._turn_average_ns
+        reach_ns = min(oldest_ns, self._published_ns) - self._turn_window_ns
         drop = max(samples.index_of(reach_ns) - 2, 0)
         if drop < max(samples.count // 2, 1):  # the buffer is too small for the delays
             samples.grow(2 * samples.stamps_ns.size)
@@ -358,12 +358,14 @@ class Fold:
         self._apply_kind.get(kind, self._apply_measurement)(state, e, k)
 
     def _apply_measurement(self, state: Records, e: int, k: int) -> None:
-        entry, samples, mean = self._entries.ordered[e], self._samples, np.empty(3)
+        entry, samples = self._entries.ordered[e], self._samples
+        rate, share = np.empty(3), np.empty(3)
         event = entry.event
         assert isinstance(event, Measurement)
-        length_ns = self.filter.turn_average_ns(event)
-        count = mean_rate(samples.stamps_ns, samples.w_ib_b, k, event.stamp_ns, length_ns, mean)
-        entry.report = self.filter.update(state, event, mean, count)
+        times = k, event.stamp_ns, self.filter.turn_window_ns(event)
+        variance = self.filter.sample_variance(state)
+        rate_at(samples.stamps_ns, samples.w_ib_b, *times, variance, rate, share)
+        entry.report = self.filter.update(state, event, rate, share)
 
     def _apply_process_noise(self, state: Records, e: int, k: int) -> None:
         event = self._entries.ordered[e].event

@@ -17,11 +17,12 @@ from insdvl import files
 from insdvl.arrays import Array, Records
 from insdvl.navigation.events import MAX_DISTANCE, MAX_SPEED, MAX_VARIANCE, NS
 from insdvl.navigation.filter import LAYOUT, Filter
+from insdvl.navigation.geometry.earth import MAX_LATITUDE
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.state import COVARIANCE, NEVER, NUMBER, STAMP, Field, State, part
 from insdvl.parameters.declaration import flatten
 
-FORMAT = "insdvl state 2"
+FORMAT = "insdvl state 3"
 #: The line of JSON is no longer than this [bytes].
 MAX_HEADER = 65_536
 
@@ -84,7 +85,13 @@ def decode(data: bytes, filter_: Filter) -> Records:
         header = None
     if not isinstance(header, dict) or not isinstance(header.get("parameters"), dict):
         raise StateFileError("damaged: the first line is not a header")
-    if header.get("format") != FORMAT or header.get("layout") != _layout(LAYOUT.dtype):
+    if header.get("format") != FORMAT:
+        theirs = files.shown(header.get("format"))
+        raise StateFileError(
+            f"written by another version of this software: its format is {theirs}, "
+            f"this one reads '{FORMAT}'"
+        )
+    if header.get("layout") != _layout(LAYOUT.dtype):
         raise StateFileError("written by another version of this software")
     if len(body) != LAYOUT.dtype.itemsize or header.get("sha256") != _sha256(body):
         raise StateFileError("damaged: wrong checksum")
@@ -270,11 +277,13 @@ def _check(s: State) -> None:
         value = part(s, path)[field.name]
         require(_holds(field, value, nav["time_ns"]), ".".join((*path, field.name)), value)
     require(np.isfinite([nav["lat_0"], nav["lon_0"], nav["h_0"]]).all(), "lat_0", nav["lat_0"])
-    require(abs(nav["lat_0"]) <= np.pi / 2, "lat_0", nav["lat_0"])
+    require(abs(nav["lat_0"]) <= MAX_LATITUDE, "lat_0", nav["lat_0"])
     C = nav["C_n_b"]
     require(np.abs(C @ C.T - np.eye(3)).max() < 1e-6 and np.linalg.det(C) > 0.0, "C_n_b", C)
     require(np.abs(nav["v_n"]).max() <= MAX_SPEED, "v_n", nav["v_n"])
-    require(np.abs(nav["p_n"]).max() <= MAX_DISTANCE, "p_n", nav["p_n"])
+    for name in ("llh", "llh_r"):
+        sizes = np.abs(nav[name])
+        require((sizes <= (MAX_LATITUDE, np.pi, MAX_DISTANCE)).all(), name, nav[name])
 
 
 def _holds(field: Field, value: Array, time_ns: int) -> bool:

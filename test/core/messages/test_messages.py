@@ -303,9 +303,9 @@ class TestInitial:
     def test_facing_east_in_ros_is_a_heading_of_90_degrees(self):
         event = messages.initial(odometry_message(), ENU, once=True)
         np.testing.assert_allclose(
-            event.C_n_b, Rotation.from_euler("z", 90.0, degrees=True).as_matrix(), atol=1e-15
+            event.C_o_b, Rotation.from_euler("z", 90.0, degrees=True).as_matrix(), atol=1e-15
         )
-        np.testing.assert_array_equal(event.p_n, [2.0, 1.0, -3.0])
+        np.testing.assert_array_equal(event.p_o, [2.0, 1.0, -3.0])
         np.testing.assert_array_equal(event.v, [0.5, -0.1, -0.2])
         assert event.velocity_frame == "body"
         assert event.once
@@ -344,6 +344,12 @@ class TestInitial:
         message = odometry_message(q=q)
         assert reason_of(messages.initial, message, ENU, once=False) == "bad_quaternion"
 
+    def test_a_position_too_far_from_the_origin_is_refused_by_its_distance(self):
+        with pytest.raises(RejectedMessage, match=r"out_of_range: .* 2000 km .* at most 1000 km"):
+            messages.initial(odometry_message(p=(-1.6e6, 1.2e6, 0.0)), ENU, once=False)
+        near = messages.initial(odometry_message(p=(6e5, -7.9e5, 0.0)), ENU, once=False)
+        np.testing.assert_allclose(near.p_o, [-7.9e5, 6e5, 0.0])
+
     def test_bad_covariance(self):
         message = odometry_message(P=np.diag([1.0, 1.0, 1.0, 1.0, 1.0, -1.0]))
         assert reason_of(messages.initial, message, ENU, once=False) == "bad_covariance"
@@ -363,6 +369,8 @@ class TestOrigin:
             ({"altitude": INF}, "not_finite"),
             ({"altitude": -INF}, "not_finite"),
             ({"latitude": 90.1}, "out_of_range"),
+            ({"latitude": 90.0}, "out_of_range"),
+            ({"latitude": -89.6}, "out_of_range"),
             ({"latitude": -91.0}, "out_of_range"),
         ],
     )

@@ -16,7 +16,7 @@ from insdvl.messages.inputs import Inputs
 from insdvl.messages.topics import BY_NAME, DEPTH, DVL, IMU, TOPICS, TRUTH, ZeroStamp, taken
 from insdvl.navigation.measurements.base import SensorParameters
 from insdvl.navigation.parameters import FilterParameters
-from insdvl.navigation.start import _NO_INITIAL_TOPIC
+from insdvl.navigation.start.parameters import _NO_INITIAL_TOPIC
 from insdvl.parameters.declaration import ParameterError, build
 from insdvl.recordings.parameters import ReplayParameters
 
@@ -57,7 +57,7 @@ def test_every_topic_of_the_replay_is_a_row() -> None:
 def test_the_initial_topic_is_none_that_has_another_use() -> None:
     """The list of the lower room, which cannot read the table."""
     others = {topic.name for topic in TOPICS if not topic.parameter}
-    assert set(_NO_INITIAL_TOPIC) == others | {"odometry/filtered"}
+    assert set(_NO_INITIAL_TOPIC) == others | {"odometry/filtered", "gps/filtered"}
 
 
 @pytest.mark.parametrize(

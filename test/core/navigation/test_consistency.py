@@ -15,13 +15,13 @@ from reset import apply_it_after_every_update
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, norm
 
+from insdvl.navigation.coordinates import body_velocity_jacobian, position_error
 from insdvl.navigation.error_state import (
     ACCELEROMETER_BIAS,
     ATTITUDE,
     GYROSCOPE_BIAS,
     POSITION,
     VELOCITY,
-    body_velocity_jacobian,
 )
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import (
@@ -186,7 +186,10 @@ def block_errors(
         "attitude": (psi, P[ATTITUDE, ATTITUDE]),
         "velocity and attitude": (np.concatenate([truth.v_n[k] - v_turned, psi]), P[both, both]),
         "biases": (db, P[biases, biases]),
-        "position": (truth.p_n[k] - s["nav"]["p_n"], P[POSITION, POSITION]),
+        "position": (
+            position_error(s["nav"], C, truth.llh[k], invariant=invariant),
+            P[POSITION, POSITION],
+        ),
     }
 
 

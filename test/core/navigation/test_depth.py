@@ -4,9 +4,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from places import moved, put
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
+from insdvl.navigation import coordinates
+from insdvl.navigation.coordinates import position_error
 from insdvl.navigation.error_state import ATTITUDE, POSITION, VELOCITY
 from insdvl.navigation.events import NS, Event, Initial, refusal
 from insdvl.navigation.filter import Filter
@@ -56,7 +59,7 @@ def mission(seed: int = SEED, duration: float = 120.0) -> Any:
 def true_depth(m: Any, surface: float) -> np.ndarray:
     """(N,) depth of the sensor at the stamps of the IMU, of a surface at a height [m]."""
     arm = np.einsum("kij,j->ki", m.truth.C_n_b, ARM)[:, 2]
-    return surface - AUV.h_0 + m.truth.p_n[:, 2] + arm
+    return surface - AUV.h_0 + m.truth.p_o[:, 2] + arm
 
 
 def depths(m: Any, surface: float, rng: np.random.Generator | None, every: int = 20) -> list[Event]:
@@ -78,7 +81,7 @@ def fly(m: Any, settings: FilterParameters, events: list[Event], seed: int | Non
         psi = rng.standard_normal(3) * sigma.attitude_std
         dv, dp = (rng.standard_normal(3) * s for s in (sigma.velocity_std, sigma.position_std))
     C_hat = Rotation.from_rotvec(psi).as_matrix().T @ C
-    start = Initial(0, C_hat, m.initial.p_n[0] - dp, C.T @ v_n - dv, "body")
+    start = Initial(0, C_hat, m.initial.p_o[0] - dp, C.T @ v_n - dv, "body")
     rng = np.random.default_rng([SEED if seed is None else seed, 2])
     ideal = np.einsum("kji,kj->ki", m.truth.C_n_b, m.truth.v_n)[99::100]
     v_d = ideal + DVL_STD * rng.standard_normal(ideal.shape)
@@ -107,7 +110,9 @@ def state_at(filter_: Filter, x: np.ndarray, *, invariant: bool) -> Any:
     turn = Rotation.from_rotvec(x[ATTITUDE]).as_matrix()
     nav["C_n_b"] = turn @ C
     nav["v_n"] = (turn @ v_n if invariant else v_n) + x[VELOCITY]
-    nav["p_n"] = np.array([50.0, -20.0, 12.0]) + x[POSITION]
+    put(nav, [50.0, -20.0, 12.0], [49.2, -20.7, 11.0])
+    x_n = coordinates.from_reference(nav)
+    nav["llh"] = moved(nav["llh"], (turn @ x_n - x_n if invariant else 0.0) + x[POSITION])
     nav["optional"][: len(x) - 15] = 4.0 + x[15:]
     nav["time_ns"], nav["initialised"] = NS, 1
     return state
@@ -187,7 +192,7 @@ def test_an_unknown_surface_makes_no_step() -> None:
         settings = parameters()
         found = fly(m, settings, depths(m, surface, None))
         without = fly(m, settings, [])
-        step = found.states["nav"]["p_n"][:, 2] - without.states["nav"]["p_n"][:, 2]
+        step = without.states["nav"]["llh"][:, 2] - found.states["nav"]["llh"][:, 2]
         first, second = 19, 39  # from the second depth on it tells the vertical velocity
         assert np.abs(step[first:second]).max() < 1e-4
         at = found.filter.vehicle.optional("surface")
@@ -201,7 +206,7 @@ def test_a_known_surface_tells_the_height() -> None:
     m = mission(duration=30.0)
     settings = parameters(depth__surface_std=0.0, depth__surface_height=2.0)
     found = fly(m, settings, depths(m, 2.0, None))
-    error = found.states["nav"]["p_n"][-1, 2] - m.truth.p_n[-1, 2]
+    error = m.truth.llh[-1, 2] - found.states["nav"]["llh"][-1, 2]
     sigma = np.sqrt(found.states["nav"]["P"][-1, DOWN, DOWN])
     assert sigma < 0.02 and abs(error) < 3.0 * sigma
 
@@ -231,7 +236,7 @@ def test_the_vertical_channel_is_consistent(surface_std: float) -> None:
         C_true, C_hat = m.truth.C_n_b[-1], s["C_n_b"]
         error = np.zeros(len(P))
         error[VELOCITY] = m.truth.v_n[-1] - C_true @ C_hat.T @ s["v_n"]
-        error[POSITION] = m.truth.p_n[-1] - s["p_n"]
+        error[POSITION] = position_error(s, C_true, m.truth.llh[-1], invariant=True)
         error[15:] = 0.0 - s["optional"][: len(P) - 15]
         rows = [VELOCITY.start + 2, DOWN, 15][:n]
         nees.append(error[rows] @ np.linalg.solve(P[np.ix_(rows, rows)], error[rows]))
@@ -245,11 +250,11 @@ def test_the_depth_bounds_the_height_where_the_dvl_is_out() -> None:
     m = mission(duration=60.0)
     settings = parameters(depth__surface_std=0.0)
     start = Initial(
-        0, m.initial.C_n_b[0], m.initial.p_n[0], m.initial.C_n_b[0].T @ m.initial.v_n[0], "body"
+        0, m.initial.C_n_b[0], m.initial.p_o[0], m.initial.C_n_b[0].T @ m.initial.v_n[0], "body"
     )
     events = depths(m, 0.0, np.random.default_rng(SEED))
     found = fold_arrays(settings, m.stamps_ns, m.f_b, m.w_ib_b, [start, *events])
-    error = found.states["nav"]["p_n"][:, 2] - m.truth.p_n[:, 2]
+    error = m.truth.llh[:, 2] - found.states["nav"]["llh"][:, 2]
     assert np.abs(error[1000:]).max() < 0.1
 
 
@@ -267,7 +272,7 @@ def test_an_outlier_is_refused_and_a_lasting_step_is_followed_in_the_end() -> No
     assert [k for k, r in enumerate(reports[:200]) if not r.accepted] == [100]
     assert reports[200].reason == "gate"
     assert all(r.accepted for r in reports[-50:])
-    assert found.states["nav"]["p_n"][-1, 2] - m.truth.p_n[-1, 2] == pytest.approx(3.0, abs=0.2)
+    assert m.truth.llh[-1, 2] - found.states["nav"]["llh"][-1, 2] == pytest.approx(3.0, abs=0.2)
 
 
 def test_a_constant_depth_is_refused_as_frozen() -> None:
@@ -284,7 +289,7 @@ def test_without_a_depth_nothing_changes_to_the_bit() -> None:
     """A sensor that is declared and never heard."""
     m = mission(duration=20.0)
     off, on = (fly(m, parameters(depth__topic=topic), []) for topic in ("", "depth"))
-    for name in ("C_n_b", "v_n", "p_n", "b_f", "b_w"):
+    for name in ("C_n_b", "v_n", "llh", "b_f", "b_w"):
         np.testing.assert_array_equal(off.states["nav"][name], on.states["nav"][name])
     P_off, P_on = off.states["nav"]["P"], on.states["nav"]["P"]
     np.testing.assert_array_equal(P_off[:, :15, :15], P_on[:, :15, :15])

@@ -39,7 +39,7 @@ def fly(mission: Mission, **values: object) -> FoldResult:
     )
     truth = mission.initial
     C = truth.C_n_b[0]
-    events: list[Event] = [Initial(0, C, truth.p_n[0], C.T @ truth.v_n[0], "body")]
+    events: list[Event] = [Initial(0, C, truth.p_o[0], C.T @ truth.v_n[0], "body")]
     pings = zip(mission.dvl_stamps_ns.tolist(), mission.v_d, strict=True)
     events += [Dvl(stamp, v_d) for stamp, v_d in pings]
     return fold_arrays(parameters, mission.stamps_ns, mission.f_b, mission.w_ib_b, events)
@@ -63,7 +63,7 @@ def mission_of(seed: int, pitch: float = 0.0, bias_std: float = 0.0) -> Mission:
 def depth_in_sigma(result: FoldResult, mission: Mission) -> tuple[float, float]:
     """Depth error at the end [m], and in sigmas."""
     nav = result.states["nav"][-1]
-    error = float(nav["p_n"][2] - mission.truth.p_n[-1, 2])
+    error = float(mission.truth.llh[-1, 2] - nav["llh"][2])
     return error, error / float(np.sqrt(nav["P"][14, 14]))
 
 

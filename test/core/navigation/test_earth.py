@@ -75,9 +75,29 @@ def test_transport_rate_is_the_turn_of_the_north_east_down_axes():
 
 
 @pytest.mark.parametrize("p_north", [-10_000.0, 10_000.0])
-def test_latitude_after_ten_kilometres(p_north):
-    """The arc of the meridian back from the latitude: 0.1 m at 10 km is what the model gives up."""
-    lat_0, h_0 = np.radians(32.0), -5.0
-    lat = earth.latitude(lat_0, h_0, p_north)
-    arc, _ = quad(lambda x: earth.radii(x)[0] + h_0, lat_0, lat, epsrel=1e-12)
-    assert arc == pytest.approx(p_north, abs=0.1)
+def test_a_way_north_is_the_arc_of_the_meridian(p_north):
+    start = np.array([np.radians(32.0), 1.0, -5.0])
+    place = start.copy()
+    assert earth.move(place, np.array([p_north, 0.0, 0.0]))
+    arc, _ = quad(lambda x: earth.radii(x)[0] - 5.0, start[0], place[0], epsrel=1e-12)
+    assert arc == pytest.approx(p_north, abs=1e-4)
+
+
+@pytest.mark.parametrize("lat_deg", LATITUDES_DEG)
+@pytest.mark.parametrize("size", [1.0, 1e3, 1e5])
+def test_a_way_and_back(lat_deg, size):
+    """A displacement is what a place was moved by, across the date line as well."""
+    start = np.array([np.radians(lat_deg), np.radians(-179.99), -50.0])
+    for d_n in size * np.array([[1.0, 2.0, 0.01], [-0.7, -1.9, -0.03], [0.0, 0.0, 0.0]]):
+        place, found = start.copy(), np.empty(3)
+        assert earth.move(place, d_n)
+        assert abs(place[1]) <= np.pi
+        earth.displacement(found, start, place)
+        np.testing.assert_allclose(found, d_n, atol=1e-8)
+
+
+def test_no_place_lies_beyond_the_largest_latitude():
+    place = np.array([np.radians(89.4), 1.0, 0.0])
+    assert not earth.move(place, np.array([1e6, 1e6, 0.0]))
+    assert np.degrees(place[0]) == pytest.approx(earth.MAX_LATITUDE_DEG)
+    assert np.isfinite(place).all()

@@ -29,6 +29,12 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "late output, ned": {"error_state": "ned", "output_delay": 1.5},
     "started by messages": {"initial.mode": "topic", "origin.source": "topic"},
     "levelling": {"initial.mode": "levelling", "process_noise.source": "message"},
+    "gyrocompassing": {
+        "initial.mode": "gyrocompassing",
+        "initial.heading_std": 6.0,
+        "initial.levelling_time": 0.1,
+        "initial.gyrocompass_time": 1.0,
+    },
     "adaptive": {"process_noise.source": "adaptive", "gate.probability": 0.9},
     "variational": {
         "process_noise.source": "adaptive",

@@ -7,7 +7,8 @@ import pytest
 from records import P15, fields
 from scipy.stats import chi2
 
-from insdvl.navigation.error_state import ATTITUDE, VELOCITY, body_velocity_jacobian
+from insdvl.navigation.coordinates import body_velocity_jacobian
+from insdvl.navigation.error_state import ATTITUDE, VELOCITY
 from insdvl.navigation.events import NS
 from insdvl.navigation.filter import Filter
 from insdvl.navigation.measurements.dvl import Dvl
@@ -488,7 +489,7 @@ def test_numbers_beyond_all_numbers_leave_the_state_alone(enabled: bool) -> None
         R = np.eye(3) * (1.0 if reason == "not_finite" else -1.0)
         state["gate"]["dvl"]["reading"] = np.nan
         dvl = Dvl(int(state[0]["nav"]["time_ns"]), np.full(3, v_d), R)
-        report = filter_.update(state, dvl, np.zeros(3), 1)
+        report = filter_.update(state, dvl, np.zeros(3), 1.0)
         assert (report.accepted, report.reason) == (False, reason)
     last = fly(settings, m, m.v_d).states[-1]
     state["gate"]["dvl"]["reading"] = last["gate"]["dvl"]["reading"]

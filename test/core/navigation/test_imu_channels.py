@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from records import P15
 
-from insdvl.navigation.error_state import body_velocity_jacobian
+from insdvl.navigation.coordinates import body_velocity_jacobian
 from insdvl.navigation.events import Event, Imu, Initial
 from insdvl.navigation.geometry.frames import rotation_from_rpy
 from insdvl.navigation.measurements.dvl import Dvl
@@ -313,7 +313,7 @@ def test_the_velocity_is_covered_while_a_channel_is_frozen(rate: float, channel:
     )
     C = m.initial.C_n_b[0]
     events: list[Event] = [
-        Initial(0, C, m.initial.p_n[0], C.T @ m.initial.v_n[0], "body"),
+        Initial(0, C, m.initial.p_o[0], C.T @ m.initial.v_n[0], "body"),
         *(Dvl(t, v) for t, v in zip(m.dvl_stamps_ns.tolist(), m.v_d, strict=True)),
     ]
     result = fold_arrays(settings, m.stamps_ns, m.f_b, m.w_ib_b, events)

@@ -52,7 +52,7 @@ def check(fold: Fold) -> None:
     """The invariants, on all states that are kept and all that is published."""
     s = fold.states
     s = s[s["nav"]["initialised"] == 1]
-    for name in ("v_n", "p_n", "b_f", "b_w", "optional", "w_nb_b", "P"):
+    for name in ("v_n", "llh", "b_f", "b_w", "optional", "w_nb_b", "P"):
         assert np.isfinite(s["nav"][name]).all(), name
     for name in ("Q_f", "Q_w"):
         assert np.isfinite(s["noise"][name]).all(), name

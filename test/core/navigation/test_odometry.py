@@ -3,19 +3,16 @@
 import numpy as np
 import pytest
 from oracle import skew
+from places import moved
 from scipy.spatial.transform import Rotation
 
-from insdvl.navigation.error_state import (
-    ATTITUDE,
-    GYROSCOPE_BIAS,
-    POSITION,
-    VELOCITY,
-    from_ordinary_errors,
-)
+from insdvl.navigation.coordinates import from_ordinary_errors
+from insdvl.navigation.error_state import ATTITUDE, GYROSCOPE_BIAS, POSITION, VELOCITY
 from insdvl.navigation.events import NS
 from insdvl.navigation.filter import Filter
-from insdvl.navigation.geometry import earth
-from insdvl.navigation.geometry.frames import ENU
+from insdvl.navigation.geometry import earth, odom
+from insdvl.navigation.geometry.earth import displacements
+from insdvl.navigation.geometry.frames import CONVENTIONS, ENU
 from insdvl.navigation.odometry import biases, odometry
 from insdvl.navigation.parameters import (
     FilterParameters,
@@ -27,6 +24,9 @@ from insdvl.navigation.parameters import (
 from insdvl.simulation.trajectories import Channel, Ramp, Trajectory
 from insdvl.timeline.recorded import fold_arrays
 
+ORIGIN = np.array([np.radians(60.0), np.radians(-179.9), -5.0])
+P_N = np.array([6000.0, -20_000.0, 5.0])  # far enough for odom's axes to differ from north
+R_LLH = moved(ORIGIN, [5990.0, -20_009.0, 2.0])  # reference of the position error
 ARM, MOUNT = (0.7, -0.3, 0.5), (0.2, -0.1, 1.3)
 
 
@@ -56,7 +56,7 @@ def nominal_and_covariance():
     nominal = {
         "C_n_b": Rotation.from_rotvec([0.4, -0.7, 1.9]).as_matrix(),
         "v_n": np.array([1.2, -0.6, 0.3]),
-        "p_n": np.array([10.0, -20.0, 5.0]),
+        "llh": moved(ORIGIN, P_N),
         "b_f": np.array([0.01, -0.02, 0.03]),
         "b_w": np.array([1e-3, 2e-3, -1e-3]),
         "w_nb_b": np.array([0.1, -0.2, 0.3]),
@@ -71,9 +71,13 @@ def states_with(filter_, nominal, P):
     states = filter_.empty()
     for name, value in nominal.items():
         states[0]["nav"][name] = value
+    nav = states[0]["nav"]
+    nav["lat_0"], nav["lon_0"], nav["h_0"] = ORIGIN
+    nav["llh"], nav["llh_r"] = nominal["llh"], R_LLH
     T = from_ordinary_errors(
         nominal["C_n_b"],
         nominal["v_n"],
+        displacements(R_LLH, nominal["llh"]),
         invariant=filter_.vehicle.invariant,
         velocity_frame="nav",
         n=filter_.n,
@@ -83,12 +87,40 @@ def states_with(filter_, nominal, P):
     return states
 
 
+def with_arc(J, P, nominal, nav):
+    """Covariance (6, 6) of the pose by its derivatives J (6, 15), on an arc: for `invariant`.
+
+    The base lies at R_h x instead of x + h e_D x x, and so by -(1 - cos h) x short of it.
+    """
+    arm, slope = nominal["C_n_b"] @ ARM, np.empty(2)
+    base = moved(nominal["llh"], -arm)
+    jacobian, _ = odom.jacobian(base, ORIGIN)
+    odom.convergence_slope(slope, base, ORIGIN)
+
+    def pose(d_n):
+        return np.concatenate([nav @ jacobian @ d_n, nav[:, 2] * (slope @ d_n[:2])])
+
+    path = (displacements(R_LLH, nominal["llh"]) - arm) * [1.0, 1.0, 0.0]
+    beside = np.cross([0.0, 0.0, 1.0], path)
+    h = np.sqrt(P[5, 5]) * np.linspace(-8.0, 8.0, 4001)
+    weights = np.exp(-(h**2) / P[5, 5] / 2.0)
+    weights /= weights.sum()
+    line = weights @ (h * np.sin(h)) / P[5, 5]
+    J = J.copy()
+    J[:, 5] -= (1.0 - line) * pose(beside)
+    return (
+        J @ P @ J.T
+        + weights @ (np.sin(h) - line * h) ** 2 * np.outer(pose(beside), pose(beside))
+        + weights @ (1.0 - np.cos(h)) ** 2 * np.outer(pose(path), pose(path))
+    )
+
+
 def perturbed(nominal, x):
     turn = Rotation.from_rotvec(x[ATTITUDE]).as_matrix()
     return {
         "C_n_b": turn @ nominal["C_n_b"],
         "v_n": nominal["v_n"] + x[VELOCITY],
-        "p_n": nominal["p_n"] + x[POSITION],
+        "llh": moved(nominal["llh"], x[POSITION]),
         "w_nb_b": nominal["w_nb_b"] - x[GYROSCOPE_BIAS],
     }
 
@@ -112,28 +144,63 @@ def test_covariances_are_of_the_numbers_published(model, convention):
 
     J = np.zeros((12, 15))
     for i in range(15):
-        x = np.zeros(15)
-        x[i] = 1e-4
-        J[:, i] = (published(x) - published(-x)) / 2e-4
+        x, step = np.zeros(15), 1.0 if i >= POSITION.start else 1e-3  # longitude is good to 1e-9 m
+        x[i] = step
+        J[:, i] = (published(x) - published(-x)) / (2.0 * step)
     # The turn rate of the record is that of the last sample, minus the bias.
     expected = J @ P @ J.T
+    if model == "invariant":
+        expected[:6, :6] = with_arc(J[:6], P, nominal, CONVENTIONS[convention].nav)
     np.testing.assert_allclose(out.pose_covariance, expected[:6, :6], rtol=1e-5, atol=1e-9)
     np.testing.assert_allclose(out.twist_covariance, expected[6:, 6:], rtol=1e-5, atol=1e-9)
     for covariance in (out.pose_covariance, out.twist_covariance):
         np.testing.assert_array_equal(covariance, covariance.T)
 
 
+@pytest.mark.parametrize("heading_std_deg", [5.0, 60.0])
+def test_the_position_covariance_is_the_second_moment_of_a_cloud(heading_std_deg):
+    """Errors of heading, tilt and dp_i through the definition, about the published position.
+
+    Each moment is within five of its standard errors, a few percent of it.
+    """
+    rng, draws = np.random.default_rng(81), 100_000
+    sigma = np.array([0.02, 0.02, np.radians(heading_std_deg), 3.0, 3.0, 1.0])
+    filter_ = filter_of("invariant", "ned")
+    nominal, _ = nominal_and_covariance()
+    nominal["llh"] = moved(R_LLH, [800.0, -600.0, 20.0])
+    states = states_with(filter_, nominal, np.zeros((15, 15)))
+    errors = np.r_[ATTITUDE, POSITION]
+    states[0]["nav"]["P"][errors, errors] = sigma**2
+    out = odometry(filter_, states, 0)
+
+    base = moved(nominal["llh"], -nominal["C_n_b"] @ ARM)
+    x_n = displacements(R_LLH, base)
+    draw = sigma * rng.standard_normal((draws, 6))
+    tilt, heading = draw[:, :3] * [1.0, 1.0, 0.0], draw[:, :3] * [0.0, 0.0, 1.0]
+    d_n = Rotation.from_rotvec(tilt).apply(x_n) + draw[:, 3:]
+    d_n = Rotation.from_rotvec(heading).apply(d_n) - x_n
+    error = odom.in_odom(np.array([moved(base, d) for d in d_n]), ORIGIN)[0] - out.position
+    of_pose = np.column_stack([error, draw[:, 2]])
+    products = of_pose[:, :, None] * of_pose[:, None, :]
+    found = out.pose_covariance[np.ix_([0, 1, 2, 5], [0, 1, 2, 5])]
+    standard_error = products.std(axis=0) / np.sqrt(draws)
+    assert (abs(products.mean(axis=0) - found) < 5.0 * standard_error).all()
+    assert (standard_error[:2, :2].max() / products[:, :2, :2].mean(axis=0).max()) < 0.02
+
+
 @pytest.mark.parametrize("convention", ["enu", "ned"])
 def test_both_models_publish_the_same(convention):
+    """As long as the heading is so certain that an arc is a line."""
     nominal, P = nominal_and_covariance()
     outputs = []
     for model in ("invariant", "ned"):
         filter_ = filter_of(model, convention, variance=1e-4)
-        outputs.append(odometry(filter_, states_with(filter_, nominal, P), 0))
+        outputs.append(odometry(filter_, states_with(filter_, nominal, 1e-8 * P), 0))
     one, other = outputs
     np.testing.assert_array_equal(one.twist_linear, other.twist_linear)
-    np.testing.assert_allclose(one.pose_covariance, other.pose_covariance, rtol=1e-12, atol=1e-15)
-    np.testing.assert_allclose(one.twist_covariance, other.twist_covariance, rtol=1e-9, atol=1e-12)
+    for name in ("pose_covariance", "twist_covariance"):
+        found, expected = getattr(one, name), getattr(other, name)
+        np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-9 * abs(expected).max())
 
 
 def test_twist_is_of_base_link_in_body_axes():
@@ -143,8 +210,11 @@ def test_twist_is_of_base_link_in_body_axes():
     C, w_nb_b = nominal["C_n_b"], nominal["w_nb_b"]
     np.testing.assert_allclose(out.twist_linear, C.T @ nominal["v_n"] - np.cross(w_nb_b, ARM))
     np.testing.assert_allclose(out.twist_angular, w_nb_b)
-    np.testing.assert_allclose(out.position, nominal["p_n"] - C @ ARM)
-    np.testing.assert_allclose(rotation_of(out), C, atol=1e-15)
+    base = moved(nominal["llh"], -C @ ARM)
+    position, gamma = odom.in_odom(base, ORIGIN)
+    np.testing.assert_array_equal(out.place, base)
+    np.testing.assert_allclose(out.position, position, rtol=1e-12)
+    np.testing.assert_allclose(rotation_of(out), odom.turned(C, gamma), atol=1e-15)
     assert out.stamp_ns == 123
 
 
@@ -223,8 +293,7 @@ def readings(t, dt, arm, mount):
     f_b = truth.f_b + np.cross(w_dot, arm) + np.cross(w, np.cross(w, arm))
     down = truth.C_n_b @ arm  # gravity is stronger where the IMU is deeper
     for k in range(len(times)):
-        lat = earth.latitude(TURNING.lat_0, TURNING.h_0, truth.p_n[k, 0])
-        height = TURNING.h_0 - truth.p_n[k, 2]
+        lat, _, height = truth.llh[k]
         change = earth.gravity(lat, height - down[k, 2]) - earth.gravity(lat, height)
         f_b[k] -= truth.C_n_b[k, 2] * change
 
@@ -242,7 +311,7 @@ def navigated(arm, mount_rpy, t, dt):
         frame_convention="ned",
         imu=ImuParameters(lever_arm=arm, mount=mount_rpy),
         initial=InitialParameters(
-            position=tuple(map(float, start.p_n[0])),
+            position=tuple(map(float, start.p_o[0])),
             rpy=tuple(map(float, Rotation.from_matrix(start.C_n_b[0]).as_euler("xyz"))),
             velocity=tuple(map(float, start.C_n_b[0].T @ start.v_n[0])),
         ),
@@ -264,7 +333,7 @@ def test_an_imu_off_base_link_navigates_base_link():
     here = navigated(ARM, MOUNT, t, dt)
     truth = TURNING.truth(t[::50])
     for k, (one, other) in enumerate(zip(there, here, strict=True)):
-        np.testing.assert_allclose(one.position, truth.p_n[k], atol=5e-3)
+        np.testing.assert_allclose(one.position, truth.p_o[k], atol=5e-3)
         np.testing.assert_allclose(other.position, one.position, atol=5e-3)
         np.testing.assert_allclose(other.twist_linear, one.twist_linear, atol=5e-4)
         np.testing.assert_allclose(other.quaternion_xyzw, one.quaternion_xyzw, atol=5e-7)

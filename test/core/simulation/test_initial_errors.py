@@ -12,14 +12,14 @@ from insdvl.studies.evaluation.metrics import attitude_error
 
 SIGMA = InitialParameters(tilt_std=0.01, heading_std=0.05, velocity_std=0.2, position_std=3.0)
 TRUTH = AUV.truth([100.0, 200.0])
-C, V_N, P_N = TRUTH.C_n_b[0], TRUTH.v_n[0], TRUTH.p_n[0]
+C, V_N, P_N = TRUTH.C_n_b[0], TRUTH.v_n[0], TRUTH.p_o[0]
 
 
 def errors(initial):
     """Nine errors, the velocity's in the frame in which it is declared."""
     v = C.T @ V_N if initial.velocity_frame == "body" else V_N
-    psi = attitude_error(initial.C_n_b[None], C[None])[0]
-    return np.concatenate([psi, initial.v - v, initial.p_n - P_N])
+    psi = attitude_error(initial.C_o_b[None], C[None])[0]
+    return np.concatenate([psi, initial.v - v, initial.p_o - P_N])
 
 
 @pytest.mark.parametrize("frame", ["body", "nav"])
@@ -37,8 +37,8 @@ def test_a_true_position_takes_no_draw():
     with_error, without = np.random.default_rng(2), np.random.default_rng(2)
     initial = drawn_initial(TRUTH, SIGMA, without, stamp_ns=7, with_position=False)
     other = drawn_initial(TRUTH, SIGMA, with_error)
-    np.testing.assert_array_equal(initial.p_n, P_N)
-    np.testing.assert_array_equal(initial.C_n_b, other.C_n_b)
+    np.testing.assert_array_equal(initial.p_o, P_N)
+    np.testing.assert_array_equal(initial.C_o_b, other.C_o_b)
     assert initial.stamp_ns == 7
     with_error.bit_generator.state = np.random.default_rng(2).bit_generator.state
     with_error.standard_normal(6)

@@ -146,13 +146,13 @@ def test_truth_at_the_start_and_at_the_stamps():
     mission = simulate(AUV, VARYING, seed=3, duration=10.0)
     np.testing.assert_allclose(mission.initial.v_n, [[1.0, 0.0, 0.0]], atol=1e-12)
     expected = AUV.truth(np.arange(1, 1001) * 0.01)
-    np.testing.assert_allclose(mission.truth.p_n, expected.p_n, atol=1e-12)
+    np.testing.assert_allclose(mission.truth.p_o, expected.p_o, atol=1e-12)
     for name in ("f_b", "w_ib_b", "q", "bias", "v_d"):
         array = getattr(mission, name)
         assert array.flags.c_contiguous
         assert array.dtype == np.float64
     with pytest.raises(ValueError, match="read-only"):
-        mission.truth.p_n[0] = 0.0  # shared by all missions on this trajectory
+        mission.truth.p_o[0] = 0.0  # shared by all missions on this trajectory
 
 
 def test_earth_rate_off():

@@ -94,17 +94,16 @@ def test_turn_on_bias_and_walk_over_many_sensors():
 
 
 def test_dvl_measures_its_own_point_in_its_own_axes():
-    """Against the derivative of the DVL's position, rotated by the mount."""
+    """Against the velocity of the vehicle and the derivative of the arm, rotated by the mount."""
     mount, lever = (0.1, -0.2, 2.3), (1.2, -0.4, 0.5)
     t, h = np.linspace(40.0, 320.0, 57), 1e-3
 
-    def position(times):
-        truth = AUV.truth(times)
-        return truth.p_n + truth.C_n_b @ lever
+    def arm(times):
+        return AUV.truth(times).C_n_b @ lever
 
-    near, far = (position(t + k * h) - position(t - k * h) for k in (1, 2))
-    v_n = (8.0 * near - far) / (12.0 * h)
+    near, far = (arm(t + k * h) - arm(t - k * h) for k in (1, 2))
     truth = AUV.truth(t)
+    v_n = truth.v_n + (8.0 * near - far) / (12.0 * h)
     C_n_d = truth.C_n_b @ rotation_from_rpy(np.array(mount))
     expected = np.einsum("kji,kj->ki", C_n_d, v_n)
     model = DvlModel(mount=mount, lever_arm=lever)

@@ -19,9 +19,9 @@ from insdvl.studies.evaluation.metrics import (
 
 def straight(n: int = 5) -> Track:
     """1 m/s along the first axis, one stamp per second."""
-    p_n = np.zeros((n, 3))
-    p_n[:, 0] = np.arange(n)
-    return Track(np.tile(np.eye(3), (n, 1, 1)), np.tile([1.0, 0.0, 0.0], (n, 1)), p_n)
+    p_o = np.zeros((n, 3))
+    p_o[:, 0] = np.arange(n)
+    return Track(np.tile(np.eye(3), (n, 1, 1)), np.tile([1.0, 0.0, 0.0], (n, 1)), p_o)
 
 
 def test_rmse_and_smae_by_hand() -> None:
@@ -58,10 +58,10 @@ def test_position_is_horizontal_and_drift_in_percent_of_the_way() -> None:
     truth = straight()
     offset = np.zeros((5, 3))
     offset[-1] = [0.0, 0.4, 100.0]
-    found = scores(replace(truth, p_n=truth.p_n + offset), truth)
+    found = scores(replace(truth, p_o=truth.p_o + offset), truth)
     assert found.position_rmse_horizontal == pytest.approx(0.4 / np.sqrt(5.0))
     assert found.position_drift_percent == pytest.approx(10.0)
-    still = replace(truth, p_n=np.zeros((5, 3)))
+    still = replace(truth, p_o=np.zeros((5, 3)))
     assert np.isnan(scores(still, still).position_drift_percent)
 
 

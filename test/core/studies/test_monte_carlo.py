@@ -49,12 +49,12 @@ def test_runs_differ_and_splits_share_nothing() -> None:
 def test_initial_errors_have_the_initial_covariance() -> None:
     sigma = InitialParameters()
     mission = mission_of_run(replace(STUDY, duration=10.0), TEST, 0)
-    C, v, p = mission.initial.C_n_b[0], mission.initial.v_n[0], mission.initial.p_n[0]
+    C, v, p = mission.initial.C_n_b[0], mission.initial.v_n[0], mission.initial.p_o[0]
     errors = []
     for number in range(600):
         initial = initial_of_run(mission, STUDY, TEST, number)
-        psi = attitude_error(initial.C_n_b[None], C[None])[0]
-        errors.append(np.concatenate([psi, C.T @ v - initial.v, p - initial.p_n]))
+        psi = attitude_error(initial.C_o_b[None], C[None])[0]
+        errors.append(np.concatenate([psi, C.T @ v - initial.v, p - initial.p_o]))
     expected = np.array(
         [sigma.tilt_std] * 2
         + [sigma.heading_std]

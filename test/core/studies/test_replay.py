@@ -10,11 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from places import position
 from recordings import REPLAY, record, save
 from records import fields
 
 from insdvl import cli
 from insdvl.messages.refusals import Refused
+from insdvl.navigation import coordinates
+from insdvl.navigation.error_state import ATTITUDE, POSITION
 from insdvl.navigation.events import NS, Event, Initial, ProcessNoise
 from insdvl.navigation.geometry.frames import ENU, rpy_from_rotation
 from insdvl.navigation.measurements.dvl import Dvl
@@ -55,7 +58,7 @@ def filter_parameters(**values: Any) -> FilterParameters:
         "initial.velocity_frame": "nav",
         "initial.velocity": tuple((ENU.nav @ truth.v_n[0]).tolist()),
         "initial.rpy": tuple(rpy_from_rotation(ENU.attitude(truth.C_n_b[0])).tolist()),
-        "initial.position": tuple((ENU.nav @ truth.p_n[0]).tolist()),
+        "initial.position": tuple((ENU.nav @ truth.p_o[0]).tolist()),
         "origin.latitude_deg": float(np.degrees(TRAJECTORY.lat_0)),
         "origin.height": float(TRAJECTORY.h_0),
     }
@@ -181,11 +184,11 @@ def test_the_first_message_of_the_topic_initialises(recording: list[Raw], missio
     replayed = fold_recording(recording, parameters)
     C, v_n = mission.truth.C_n_b[0], mission.truth.v_n[0]
     start_ns = int(mission.stamps_ns[0])
-    start = Initial(start_ns, C, mission.truth.p_n[0], C.T @ v_n, "body")
+    start = Initial(start_ns, C, mission.truth.p_o[0], C.T @ v_n, "body")
     events = [*dvl_events(mission), start]
     direct = fold_arrays(parameters, mission.stamps_ns, mission.f_b, mission.w_ib_b, events)
     # A quaternion is between the two, so they agree to rounding only.
-    for name in ("C_n_b", "v_n", "p_n", "P"):
+    for name in ("C_n_b", "v_n", "llh", "P"):
         np.testing.assert_allclose(
             replayed.fold.states["nav"][name], direct.states["nav"][name], rtol=1e-9, atol=1e-9
         )
@@ -265,7 +268,7 @@ def test_the_numbers_are_those_of_the_arrays(
     v_b = np.einsum("kji,kj->ki", states["nav"]["C_n_b"], states["nav"]["v_n"])
     v_b_true = np.einsum("kji,kj->ki", truth.C_n_b, truth.v_n)
     assert numbers["body_velocity_rmse"] == pytest.approx(rms(v_b - v_b_true))
-    horizontal = (states["nav"]["p_n"] - truth.p_n)[:, :2]
+    horizontal = (position(states["nav"]) - truth.p_o)[:, :2]
     assert numbers["position_rmse_horizontal"] == pytest.approx(rms(horizontal))
     yaw = np.arctan2(states["nav"]["C_n_b"][:, 1, 0], states["nav"]["C_n_b"][:, 0, 0])
     yaw -= np.arctan2(truth.C_n_b[:, 1, 0], truth.C_n_b[:, 0, 0])
@@ -274,9 +277,12 @@ def test_the_numbers_are_those_of_the_arrays(
     nis = [update.report.nis for update in replayed.fold.updates]
     assert numbers["nis_mean"] == numbers["nis_mean_accepted"] == pytest.approx(np.mean(nis))
     assert numbers["dvl_accepted"] == len(nis)
-    deeper = states["nav"]["p_n"][-1, 2] - truth.p_n[-1, 2]
+    deeper = truth.llh[-1, 2] - states["nav"]["llh"][-1, 2]
     assert numbers["depth_error_end"] == pytest.approx(deeper, abs=1e-9)
-    sigma = np.sqrt(states["nav"]["P"][-1, 14, 14])
+    down = np.zeros(15)  # of a position in metres, by the error in the group
+    down[POSITION.stop - 1] = 1.0
+    down[ATTITUDE] = -coordinates.turns_position(states[-1], invariant=True)[2]
+    sigma = np.sqrt(down @ states["nav"]["P"][-1, :15, :15] @ down)
     assert numbers["depth_sigma_end"] == pytest.approx(sigma, rel=1e-6)
     assert 0.9 < numbers["body_velocity_inside_3_sigma"] <= 1.0
     assert len(numbers["innovation_autocorrelation"]) == 10
@@ -310,7 +316,7 @@ def test_a_reference_between_stamps_of_the_imu_is_met_between_them() -> None:
     stamps_ns = mission.stamps_ns[:-1] + 3_000_000
     between, sigma = states_at(replayed.fold, stamps_ns)
     at, sigma_at = states_at(replayed.fold, mission.stamps_ns)
-    for name in ("v_b", "p_n"):
+    for name in ("v_b", "p_o"):
         values = getattr(at, name)
         mean = 0.7 * values[:-1] + 0.3 * values[1:]
         np.testing.assert_allclose(getattr(between, name), mean, rtol=0, atol=1e-12)
@@ -457,13 +463,18 @@ def test_the_recorded_outputs_replay_to_the_same_numbers(bag: Path, tmp_path: Pa
         odometry = [m.message for m in out.messages(["/odometry/filtered"])]
         assert out.topics["/dvl/innovation"].size == int(DURATION)
         assert out.topics["/imu/bias"].size == int(DURATION) + 1
+        fixes = [m.message for m in out.messages(["/gps/filtered"])]
+        assert len(fixes) == int(DURATION) + 1
+        assert fixes[0].header.frame_id == "base_link"
+        latitude = np.degrees(replayed.fold.states["nav"]["llh"][replayed.initialised[0], 0])
+        assert fixes[0].latitude == pytest.approx(latitude, abs=1e-12)
     stamps_ns = replayed.fold.states["nav"]["time_ns"][replayed.initialised]
     track, sigma = states_at(replayed.fold, stamps_ns)
     assert len(odometry) == len(stamps_ns)
     for k in (0, 700, len(odometry) - 1):
-        linear, position = odometry[k].twist.twist.linear, odometry[k].pose.pose.position
+        linear, there = odometry[k].twist.twist.linear, odometry[k].pose.pose.position
         assert (linear.x, linear.y, linear.z) == tuple(track.v_b[k])
-        assert (position.x, position.y, position.z) == tuple(track.p_n[k])
+        assert (there.x, there.y, there.z) == tuple(track.p_o[k])
         covariance = odometry[k].twist.covariance.reshape(6, 6)
         pose_covariance = odometry[k].pose.covariance.reshape(6, 6)
         variances = np.concatenate([np.diag(covariance)[:3], np.diag(pose_covariance)[:3]])

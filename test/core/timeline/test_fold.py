@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from places import position
 from records import P15
 
 from insdvl.navigation.events import NS, Event, Imu, Initial, Origin, ProcessNoise
@@ -28,7 +29,7 @@ from insdvl.simulation.trajectories import AUV
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.output import AppliedUpdate, FoldResult
 from insdvl.timeline.recorded import fold_arrays
-from insdvl.timeline.samples import mean_rate
+from insdvl.timeline.samples import TURN_ACCELERATION, rate_at
 
 SEED = 57_721
 STEP = 10_000_000
@@ -74,7 +75,7 @@ def mission(seconds: float, seed: int = SEED) -> list[Event]:
     C_b_i = rotation_from_rpy(np.array(SETTINGS.imu.mount))
     events: list[Event] = [
         Origin(START + STEP, AUV.lat_0, AUV.lon_0, AUV.h_0),
-        Initial(START + STEP + 3, C, m.initial.p_n[0], C.T @ v, "body"),
+        Initial(START + STEP + 3, C, m.initial.p_o[0], C.T @ v, "body"),
     ]
     for k, stamp in enumerate(m.stamps_ns.tolist()):
         if not 230 <= k < 250:
@@ -208,7 +209,7 @@ def test_of_duplicates_the_same_one_counts_in_any_order(seed: int) -> None:
     assert isinstance(events[k], Initial)
     copies += [
         replace(events[k], velocity_frame="nav"),
-        replace(events[k], p_n=np.ones(3)),
+        replace(events[k], p_o=np.ones(3)),
         replace(events[k], P_v=np.eye(3)),
         replace(events[k], P_psi=np.eye(3)),
     ]
@@ -605,8 +606,8 @@ def modes(mode: str, **initial: object) -> FilterParameters:
 
 
 def pose(k: float, once: bool = False, north: float = 0.0) -> Initial:
-    p_n = np.array([north, 0.0, 0.0])
-    return Initial(START + round(k * STEP), np.eye(3), p_n, np.zeros(3), "body", once=once)
+    p_o = np.array([north, 0.0, 0.0])
+    return Initial(START + round(k * STEP), np.eye(3), p_o, np.zeros(3), "body", once=once)
 
 
 def test_from_parameters_it_starts_at_the_first_sample() -> None:
@@ -614,7 +615,7 @@ def test_from_parameters_it_starts_at_the_first_sample() -> None:
     assert fold.latest is None
     fold.add(at(0))
     assert fold.latest["nav"]["time_ns"] == START
-    np.testing.assert_array_equal(fold.latest["nav"]["p_n"], [7.0, 8.0, 9.0])
+    np.testing.assert_allclose(position(fold.latest["nav"]), [7.0, 8.0, 9.0], atol=1e-8)
 
 
 @pytest.mark.parametrize("mode", ["topic", "set_odometry"])
@@ -651,11 +652,11 @@ def test_of_initials_that_apply_once_the_first_counts() -> None:
     fold = simple(30, modes("topic"))
     fold.add(pose(10.5, once=True, north=1.0))
     fold.add(pose(20.5, once=True, north=2.0))
-    assert fold.latest["nav"]["p_n"][0] == pytest.approx(1.0, abs=0.1)
+    assert position(fold.latest["nav"])[0] == pytest.approx(1.0, abs=0.1)
     fold.add(pose(5.5, once=True, north=3.0))
-    assert fold.latest["nav"]["p_n"][0] == pytest.approx(3.0, abs=0.1)
+    assert position(fold.latest["nav"])[0] == pytest.approx(3.0, abs=0.1)
     fold.add(pose(25.5, north=4.0))
-    assert fold.latest["nav"]["p_n"][0] == pytest.approx(4.0, abs=0.1)
+    assert position(fold.latest["nav"])[0] == pytest.approx(4.0, abs=0.1)
 
 
 @pytest.mark.parametrize("newest", [99.5, 100.0])
@@ -668,7 +669,7 @@ def test_of_those_that_waited_for_the_first_sample_the_newest_counts(newest: flo
         for event in [*order, at(100), at(101)]:
             fold.add(event)
         assert fold.counts["gaps"] == 0
-        assert fold.latest["nav"]["p_n"][0] == pytest.approx(newest, abs=0.1)
+        assert position(fold.latest["nav"])[0] == pytest.approx(newest, abs=0.1)
         states.append(fold.latest.tobytes())
     alone = Fold(modes("topic"))
     for event in [poses[2], at(100), at(101)]:
@@ -731,7 +732,7 @@ def test_the_rate_of_the_samples_may_change() -> None:
     b = offline(settings, [*coarse, ping]).states[-1]
     assert a["nav"]["time_ns"] == b["nav"]["time_ns"]
     np.testing.assert_allclose(b["nav"]["v_n"], a["nav"]["v_n"], atol=5e-5)
-    np.testing.assert_allclose(b["nav"]["p_n"], a["nav"]["p_n"], atol=1e-4)
+    np.testing.assert_allclose(position(b["nav"]), position(a["nav"]), atol=1e-4)
     np.testing.assert_allclose(np.diag(P15(b)), np.diag(P15(a)), rtol=2e-3)
 
 
@@ -765,36 +766,75 @@ def test_a_ping_in_a_gap_cuts_it_and_it_is_still_one_gap() -> None:
     np.testing.assert_allclose(np.diag(P15(fold.latest))[:6], np.diag(P)[:6], rtol=0.1)
 
 
-# ------------------------------------------------------------------ mean turn rate
+# ------------------------------------------------------------------ turn rate
 
 
-def test_the_mean_rate_weights_each_sample_by_its_share() -> None:
+def test_the_turn_rate_is_that_of_a_line_at_the_stamp() -> None:
+    """A rate that changes linearly is met exactly; each sample is its mean over its interval."""
+    stamps = np.array([0, 10, 20, 40, 50], dtype=np.int64) * 1_000_000
+    at, slope = np.array([0.2, -0.1, 0.4]), np.array([3.0, -2.0, 1.0])
+    middles = 1e-9 * (stamps + np.concatenate([[0], stamps[:-1]])) / 2
+    for stamp_ns in (42_000_000, 45_000_000, 50_000_000):
+        w = at + (middles[:, None] - 1e-9 * stamp_ns) * slope
+        found, share = np.empty(3), np.empty(3)
+        rate_at(stamps, w, 4, stamp_ns, 30_000_000, np.zeros(3), found, share)
+        assert ((share > 1.0) & (share < 5.0)).all()
+        np.testing.assert_allclose(found, at, rtol=1e-12)
+
+
+def test_the_line_weights_each_sample_by_its_share_of_the_window() -> None:
     stamps = np.array([0, 10, 20, 40, 50], dtype=np.int64)
-    w = np.arange(15.0).reshape(5, 3)
-    mean = np.empty(3)
+    w = np.random.default_rng(SEED).standard_normal((5, 3))
+    found, share = np.empty(3), np.empty(3)
     # (15, 45]: half of sample 2, all of sample 3, half of sample 4.
-    assert mean_rate(stamps, w, 4, 45, 30, mean) == 3
-    np.testing.assert_allclose(mean, (5 * w[2] + 20 * w[3] + 5 * w[4]) / 30, rtol=1e-14)
-    assert mean_rate(stamps, w, 3, 40, 20, mean) == 1
-    np.testing.assert_array_equal(mean, w[3])
-    assert mean_rate(stamps, w, 2, 15, 0, mean) == 1
-    np.testing.assert_array_equal(mean, w[2])
+    rate_at(stamps, w, 4, 45, 30, np.zeros(3), found, share)
+    line = np.polyfit([15 - 45, 30 - 45, 45 - 45], w[2:5], 1, w=np.sqrt([5, 20, 5]))
+    np.testing.assert_allclose(found, line[1], rtol=1e-12)
+    units = np.polyfit([15 - 45, 30 - 45, 45 - 45], np.eye(3), 1, w=np.sqrt([5, 20, 5]))[1]
+    np.testing.assert_allclose(share, units @ units, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("q", "least", "most"), [(1e-8, 3.5, 4.1), (1e-3, 1.2, 3.0), (0.1, 1, 1.1)]
+)
+def test_the_variance_of_the_turn_rate_is_that_of_its_error(
+    q: float, least: float, most: float
+) -> None:
+    """Of N = 25 samples: 4 / N where the gyroscope is quiet, 1 / N where it is noisy."""
+    rng = np.random.default_rng([SEED, 13])
+    stamps = np.arange(26, dtype=np.int64) * STEP
+    found, share, errors = np.empty(3), np.empty(3), []
+    middles = (stamps - STEP / 2 - stamps[-1]) / NS
+    for _ in range(20_000):
+        w = np.sqrt(q) * rng.standard_normal((26, 3))
+        w += np.outer(middles, TURN_ACCELERATION * rng.standard_normal(3))
+        rate_at(stamps, w, 25, int(stamps[-1]), 25 * STEP, np.full(3, q), found, share)
+        errors.append(found.copy())
+    np.testing.assert_allclose(np.mean(np.square(errors), axis=0), q * share, rtol=0.05)
+    assert ((share > least / 25) & (share < most / 25)).all()
+
+
+def test_one_sample_in_the_window_is_the_turn_rate() -> None:
+    stamps = np.array([0, 10, 20, 40, 50], dtype=np.int64)
+    w, found, share = np.arange(15.0).reshape(5, 3), np.empty(3), np.empty(3)
     # Before the second sample nothing is known of an interval's length.
-    assert mean_rate(stamps, w, 0, 0, 30, mean) == 1
-    np.testing.assert_array_equal(mean, w[0])
+    for k, stamp, window in ((3, 40, 20), (2, 15, 0), (0, 0, 30), (1, 10, 30)):
+        rate_at(stamps, w, k, stamp, window, np.ones(3), found, share)
+        np.testing.assert_array_equal(share, 1.0)
+        np.testing.assert_array_equal(found, w[k])
 
 
-def test_an_update_uses_the_mean_rate_and_its_noise() -> None:
-    """The innovation has w x l of the mean; S is smaller for the longer mean."""
+def test_an_update_uses_the_turn_rate_and_its_noise() -> None:
+    """The innovation has w x l of the line at the stamp; S is smaller for the longer window."""
     rng = np.random.default_rng([SEED, 12])
     rates = rng.standard_normal((100, 3))
-    S = []
-    for average, samples in ((0.0, 1), (0.1, 10), (0.25, 25)):
+    S, variances, q = [], [], 0.001
+    for window, samples in ((0.0, 1), (0.1, 10), (0.25, 25)):
         arm = np.array([2.0, 1.0, -1.0])
         settings = replace(
             modes("parameters"),
             earth_rate=False,
-            dvl=DvlParameters(lever_arm=tuple(arm.tolist()), gyro_average=average),
+            dvl=DvlParameters(lever_arm=tuple(arm.tolist()), gyro_average=window),
         )
         events = [
             Imu(START + k * STEP, np.array([0.0, 0.0, -9.8]), 1e-3 * rates[k]) for k in range(100)
@@ -802,11 +842,17 @@ def test_an_update_uses_the_mean_rate_and_its_noise() -> None:
         v_d = np.array([0.1, 0.2, -0.3])
         result = offline(settings, [*events, Dvl(START + 99 * STEP, v_d)])
         before = offline(settings, list(events)).states[-1]
-        mean = 1e-3 * rates[100 - samples :].mean(axis=0)
-        h = before["nav"]["C_n_b"].T @ before["nav"]["v_n"] + np.cross(mean, arm)
+        # A line with the slope 0 +- TURN_ACCELERATION, in units of the noise of a sample.
+        t = (np.arange(samples) - samples + 0.5) * STEP / NS
+        design = np.vstack([np.column_stack([np.ones(samples), t]), np.zeros(2)])
+        design[-1, 1] = np.sqrt(q) / TURN_ACCELERATION
+        N = np.linalg.inv(design.T @ design) if samples > 1 else np.diag([1.0, 0.0])
+        rate = 1e-3 * (N @ design[:-1].T @ rates[100 - samples :])[0]
+        h = before["nav"]["C_n_b"].T @ before["nav"]["v_n"] + np.cross(rate, arm)
         report = result.updates[0].report
         np.testing.assert_allclose(report.innovation, v_d - h, rtol=1e-9, atol=1e-12)
         S.append(np.trace(report.S))
-    arm_noise = 2 * (arm @ arm) * 0.001
-    np.testing.assert_allclose(S[0] - S[1], 0.9 * arm_noise, rtol=1e-6)
-    np.testing.assert_allclose(S[1] - S[2], 0.06 * arm_noise, rtol=1e-6)
+        variances.append(N[0, 0])
+    arm_noise = 2 * (arm @ arm) * q
+    assert variances[0] > variances[1] > variances[2]
+    np.testing.assert_allclose(-np.diff(S), -np.diff(variances) * arm_noise, rtol=1e-6)

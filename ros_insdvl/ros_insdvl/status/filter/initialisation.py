@@ -3,8 +3,12 @@
 from insdvl.messages.inputs import Inputs
 from insdvl.messages.topics import FIX, SET_ODOMETRY
 from insdvl.navigation.events import NS
+from insdvl.navigation.geometry.earth import MAX_LATITUDE_DEG
+from insdvl.navigation.geometry.odom import MAX_FROM_ORIGIN
 from insdvl.navigation.parameters import FilterParameters
+from insdvl.navigation.state import State
 from insdvl.timeline.fold import Fold
+from insdvl.watch.heading_at_start import heading_at_start
 from ros_insdvl.status.diagnostics import RECENT, WARN, Status, View
 from ros_insdvl.status.filter.base import Cause, Published
 
@@ -14,6 +18,9 @@ _EVENTS = {
     "origin and were not used: send them again after the fix",
     "too_old": "{count} initial states in the last {seconds:.0f} s were much older than the first "
     "IMU sample and were not used: check the sender's clock",
+    "off_the_map": "{count} initial states in the last {seconds:.0f} s were not used: their "
+    f"position is more than {MAX_FROM_ORIGIN / 1e3:.0f} km from the origin, or beyond "
+    f"{MAX_LATITUDE_DEG:g} deg of latitude",
     "not_level": "levelling restarted {count} times in the last {seconds:.0f} s: the specific "
     "force differs from gravity, or samples are missing; keep the vehicle still, check the IMU and "
     "its unit",
@@ -34,11 +41,13 @@ class Initialisation(Cause):
     def status(self, view: View) -> Status:
         """What is missing."""
         status = Status("initialisation", "initialised")
-        first_ns = self._published.first_ns
-        if self._fold.latest is None:
+        first_ns, latest = self._published.first_ns, self._fold.latest
+        if latest is None:
             status.complain(WARN, "waits", f"not initialised, waits for {self._waits_for}")
         elif first_ns is not None:
             status.summary = f"initialised, first output at stamp {first_ns / NS:.3f} s"
+        if latest is not None:
+            self._tell_heading(latest, status)
         for name, text in _EVENTS.items():
             if count := view.events.recent[name]:
                 status.complain(WARN, name, text.format(count=count, seconds=RECENT))
@@ -52,6 +61,16 @@ class Initialisation(Cause):
         view.show_events(status, *_EVENTS)
         return status
 
+    def _tell_heading(self, latest: State, status: Status) -> None:
+        """What came of gyrocompassing."""
+        heading = heading_at_start(latest, self._parameters.initial)
+        if heading is not None:
+            found, text = heading
+            if found:
+                status.summary += f", {text}"
+            else:
+                status.complain(WARN, "heading", text)
+
     @property
     def _waits_for(self) -> str:
         """What an uninitialised filter waits for."""
@@ -59,6 +78,7 @@ class Initialisation(Cause):
         waits_for = {
             "parameters": "the first IMU sample",
             "levelling": f"{initial.levelling_time:g} s of IMU samples at rest",
+            "gyrocompassing": f"{initial.gyrocompass_time:g} s of IMU samples at rest",
             "topic": f"a message on {initial.topic}",
             "set_odometry": f"a message on {SET_ODOMETRY}",
         }[initial.mode]

@@ -4,8 +4,9 @@ from collections import deque
 
 import numpy as np
 
-from insdvl.messages.topics import IMU
+from insdvl.messages.topics import GLOBAL_POSITION, IMU
 from insdvl.navigation.events import NS
+from insdvl.navigation.geometry.earth import MAX_LATITUDE_DEG
 from insdvl.navigation.odometry import Odometry
 from insdvl.navigation.parameters import FilterParameters
 from ros_insdvl.status.diagnostics import ERROR, RECENT, SILENT, WARN, Status, View
@@ -17,6 +18,8 @@ CLOCK_AGREEMENT_NS = 10 * NS
 LATE_NS = NS
 #: Latencies that are kept between two looks.
 KEPT_LATENCIES = 10_000
+
+_BEYOND = "beyond_latitude"
 
 
 class Output(Cause):
@@ -39,7 +42,7 @@ class Output(Cause):
     def status(self, view: View) -> Status:
         """Rate, sigmas and latency."""
         status = Status("output", "no output yet")
-        view.show(status, ODOMETRY, "imu/bias", "dvl/innovation")
+        view.show(status, ODOMETRY, "imu/bias", GLOBAL_POSITION, "dvl/innovation")
         output = self._published.last
         if output is None:
             return status
@@ -58,6 +61,14 @@ class Output(Cause):
                 f"no odometry in the last {RECENT:.0f} s although {samples} IMU messages arrived: "
                 "see the other statuses, then call ~/reset",
             )
+        if count := view.events.recent[_BEYOND]:
+            status.complain(
+                ERROR,
+                _BEYOND,
+                f"the position was held at {MAX_LATITUDE_DEG:g} deg of latitude {count} times in "
+                f"the last {RECENT:.0f} s: the vehicle is too close to the pole to navigate",
+            )
+        view.show_events(status, _BEYOND)
         self._report_latency(status)
         return status
 

@@ -23,6 +23,13 @@ def skew(out: Array, a: Array) -> None:
     out[2, 2] = 0.0
 
 
+def cross_matrix(a: Array) -> Array:
+    """[a x] as a new (3, 3) array."""
+    out = np.empty((3, 3))
+    skew(out, a)
+    return out
+
+
 @kernel
 def cross(out: Array, a: Array, b: Array) -> None:
     """out = a x b; `out` is neither of them."""

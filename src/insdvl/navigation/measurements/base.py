@@ -87,9 +87,9 @@ class Turn:
     """The turn rate at a measurement.
 
     Attributes:
-        w_ib_b: (3,) mean angular rate up to the stamp [rad/s], base_link axes, with its bias and
-            without that of channels that do not show the motion.
-        covariance: (3, 3) of that mean [(rad/s)^2].
+        w_ib_b: (3,) angular rate at the stamp [rad/s], base_link axes, with its bias and without
+            that of channels that do not show the motion.
+        covariance: (3, 3) of that rate [(rad/s)^2].
     """
 
     w_ib_b: Array
@@ -119,13 +119,13 @@ class SensorModel(ABC, Generic[_Event]):
         rows: Number of rows m.
         tells_velocity: Whether it tells velocity and, with the IMU, tilt: an adaptive process noise
             learns from it, and the doubt about IMU channels starts again with it.
-        turn_average_ns: Time over which the turn rate is averaged for it; 0 takes one sample.
+        turn_window_ns: Time before it that its turn rate is taken from; 0 takes one sample.
     """
 
     label: ClassVar[str]
     rows: ClassVar[int]
     tells_velocity: ClassVar[bool] = False
-    turn_average_ns: int = 0
+    turn_window_ns: int = 0
 
     @abstractmethod
     def reading(self, event: _Event) -> Array:

@@ -1,9 +1,9 @@
 """The depth below the water's surface, from a pressure sensor or as a height that somebody tells.
 
-    h = h_s - (h_0 - p_D),  p_D = [p_n + C_n_b l]_D
+    d = h_s - (h - [C_n_b l]_D)
 
-h_s is the height of the surface above the ellipsoid, h_0 that of odom's origin, l the arm from the
-IMU to the sensor. The surface is an optional error state: with a large prior sigma it is unknown,
+h_s is the height of the surface above the ellipsoid, h that of the IMU, l the arm from the IMU to
+the sensor. The surface is an optional error state: with a large prior sigma it is unknown,
 and the first depth tells it, to within the filter's own height; with a sigma of zero it is known.
 """
 
@@ -14,10 +14,11 @@ from typing import ClassVar
 import numpy as np
 
 from insdvl.arrays import Array, Records
-from insdvl.navigation import error_state
+from insdvl.navigation import coordinates
 from insdvl.navigation.error_state import ACCELEROMETER_BIAS, ATTITUDE, POSITION, VELOCITY
 from insdvl.navigation.events import MAX_DISTANCE, MAX_VARIANCE, Limits, Measurement
 from insdvl.navigation.geometry.earth import gravity
+from insdvl.navigation.geometry.rotation import cross_matrix
 from insdvl.navigation.measurements.base import (
     Block,
     Linearised,
@@ -175,27 +176,29 @@ class DepthModel(SensorModel[Depth]):
         return "frozen" if least > 0 and (again or least <= repeats + 1) else ""
 
     def linearise(self, state: Records, event: Depth, turn: Turn) -> Linearised:
-        """h = h_s - h_0 + [p_n + C_n_b l]_D, H = [0, -[C_n_b l x]_D, 0, 0, e_D] and 1 for h_s.
+        """d = h_s - h + [C_n_b l]_D, H = [0, -[a x]_D, 0, 0, e_D] and 1 for h_s.
 
-        The D row of [a x] is (-a_E, a_N, 0): tilt moves the sensor, a turn about the vertical does
-        not.
+        a = C_n_b l for `ned`; for `invariant` a = x + C_n_b l, the sensor from the reference of the
+        position error. The D row of [a x] is (-a_E, a_N, 0): tilt moves the sensor, a turn about
+        the vertical does not.
         """
         vehicle, nav, parameters = self._vehicle, state[0]["nav"], self._parameters
         arm = nav["C_n_b"] @ self._l_b
         surface = parameters.surface_height
         H = np.zeros((1, vehicle.n))
-        H[0, ATTITUDE] = -error_state.cross_matrix(arm)[_DOWN]
+        turned = coordinates.turns_position(state[0], invariant=vehicle.invariant)
+        H[0, ATTITUDE] = -(turned + cross_matrix(arm))[_DOWN]
         H[0, POSITION.start + _DOWN] = 1.0
         if self._surface is not None:
             H[0, self._surface] = 1.0
             surface = nav["optional"][vehicle.optional("surface")][0]
-        down = nav["p_n"][_DOWN] + arm[_DOWN]
+        height = nav["llh"][2] - arm[_DOWN]
         scale = 1.0
         if event.from_pressure:
-            scale = STANDARD_GRAVITY / gravity(nav["lat_0"], nav["h_0"] - down)
+            scale = STANDARD_GRAVITY / gravity(nav["llh"][0], height)
         variance = event.variance
         R = parameters.noise_std**2 if variance is None else variance * scale**2
-        predicted = surface - nav["h_0"] + down
+        predicted = surface - height
         return Linearised(np.array([event.depth * scale - predicted]), H, np.array([[R]]))
 
     def drift(self, s: State, seconds: float) -> Array:
@@ -224,6 +227,9 @@ class DepthModel(SensorModel[Depth]):
         It is as uncertain as the two are apart, since one of them is wrong.
         """
         nav, down = s["nav"], POSITION.start + _DOWN
-        nav["p_n"][_DOWN] += innovation[0]
-        nav["P"][down, :] = nav["P"][:, down] = 0.0
-        nav["P"][down, down] = R[0, 0] + innovation[0] ** 2
+        P = nav["P"]
+        nav["llh"][2] -= innovation[0]
+        turned = coordinates.turns_position(s, invariant=self._vehicle.invariant)[_DOWN]
+        P[down, :] = turned @ P[ATTITUDE, :]
+        P[:, down] = P[down, :]
+        P[down, down] = turned @ P[ATTITUDE, ATTITUDE] @ turned + R[0, 0] + innovation[0] ** 2

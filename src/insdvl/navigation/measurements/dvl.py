@@ -8,17 +8,19 @@ import numpy as np
 
 from insdvl.arrays import Array, Records
 from insdvl.kernels import kernel
-from insdvl.navigation import error_state
+from insdvl.navigation import coordinates, error_state
 from insdvl.navigation.error_state import (
     ACCELEROMETER_BIAS,
     ATTITUDE,
     GYROSCOPE_BIAS,
+    POSITION,
     VELOCITY,
 )
 from insdvl.navigation.events import MAX_SPEED, MAX_VARIANCE, NS, Limits, Measurement
 from insdvl.navigation.geometry.frames import rotation_from_rpy
 from insdvl.navigation.geometry.rotation import (
     cross,
+    cross_matrix,
     exponential,
     product,
     product_transposed,
@@ -93,7 +95,8 @@ class DvlParameters(SensorParameters):
     )
     gyro_average: float = parameter(
         0.25,
-        "The turn rate for the lever arm is averaged over this time, which ends at the stamp.",
+        "The turn rate for the lever arm is the value at the stamp of a line fitted to the samples "
+        "of this time, which ends at the stamp; 0 takes one sample.",
         unit="s",
         low=0.0,
         high=10.0,
@@ -167,12 +170,12 @@ class DvlModel(SensorModel[Dvl]):
         self._C_b_d = axes.body_rotation(rotation_from_rpy(np.array(parameters.mount)))
         self._C_d_b = np.ascontiguousarray(self._C_b_d.T)
         self._l_b = vehicle.lever_arm(parameters.lever_arm)
-        self._l_x = error_state.cross_matrix(self._l_b)
+        self._l_x = cross_matrix(self._l_b)
         self._R = np.diag(np.square(parameters.noise_std))
         self._lock_check = parameters.lock_check
         self._error = vehicle.blocks.get("dvl_error")
         self._mount = vehicle.blocks.get("dvl_mount")
-        self.turn_average_ns = round(parameters.gyro_average * NS)
+        self.turn_window_ns = round(parameters.gyro_average * NS)
 
     def reading(self, event: Dvl) -> Array:
         """The velocity."""
@@ -204,7 +207,7 @@ class DvlModel(SensorModel[Dvl]):
             C_d_b = M @ C_d_b
         _predict(state, vehicle.workspace, vehicle.constants, C_d_b, self._l_b, turn.w_ib_b, h, H)
         if self._mount is not None:
-            H[:, self._mount] = error_state.cross_matrix(h) @ turn_jacobian
+            H[:, self._mount] = cross_matrix(h) @ turn_jacobian
         z_minus_h = event.v_d - h
         if self._error is not None:
             H[:, self._error] = np.eye(3)
@@ -222,7 +225,7 @@ class DvlModel(SensorModel[Dvl]):
         """Drift of the velocity in DVL axes by tilt, accelerometer bias and the samples' noise."""
         workspace, constants = self._vehicle.workspace[0], self._vehicle.constants[0]
         C, P, Q_f = s["nav"]["C_n_b"], s["nav"]["P"], s["noise"]["Q_f"]
-        g_x = error_state.cross_matrix(workspace["g_n"])
+        g_x = cross_matrix(workspace["g_n"])
         acceleration = g_x @ P[ATTITUDE, ATTITUDE] @ g_x.T
         acceleration += C @ P[ACCELEROMETER_BIAS, ACCELEROMETER_BIAS] @ C.T
         drift = seconds**2 * acceleration + seconds * constants["density"] * (C @ Q_f @ C.T)
@@ -244,7 +247,9 @@ class DvlModel(SensorModel[Dvl]):
             sigma = min(np.sqrt(variance) / (np.linalg.norm(g_n) * seconds), LARGEST_TILT_DOUBT)
             A = np.zeros((n, 2))  # of the turns about north and east
             A[ATTITUDE] = np.eye(3)[:, :2]
-            A[VELOCITY] = seconds * error_state.cross_matrix(g_n)[:, :2]
+            A[VELOCITY] = seconds * cross_matrix(g_n)[:, :2]
+            turned = coordinates.turns_position(s, invariant=self._vehicle.invariant)
+            A[POSITION] = turned[:, :2]  # in metres the position stays
             P += sigma**2 * (A @ A.T)
 
     def restart(self, s: State, innovation: Array, R: Array) -> None:
@@ -258,8 +263,13 @@ class DvlModel(SensorModel[Dvl]):
         P = nav["P"][:n, :n]
         P[VELOCITY, :] = 0.0
         P[:, VELOCITY] = 0.0
-        T = error_state.from_ordinary_errors(
-            nav["C_n_b"], nav["v_n"], invariant=vehicle.invariant, velocity_frame="body", n=n
+        T = coordinates.from_ordinary_errors(
+            nav["C_n_b"],
+            nav["v_n"],
+            np.zeros(3),  # the position is in the coordinates of the model already
+            invariant=vehicle.invariant,
+            velocity_frame="body",
+            n=n,
         )
         doubt = R + np.outer(innovation, innovation)
         P[VELOCITY, VELOCITY] = self._C_b_d @ doubt @ self._C_b_d.T

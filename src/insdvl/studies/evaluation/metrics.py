@@ -21,14 +21,14 @@ class Track:
     """A navigation result, or the truth, over N stamps.
 
     Attributes:
-        C_n_b: (N, 3, 3) attitude.
+        C_n_b: (N, 3, 3) attitude, against local axes or against odom's.
         v_b: (N, 3) velocity over ground in body axes [m/s].
-        p_n: (N, 3) position in navigation axes [m].
+        p_o: (N, 3) position in odom [m].
     """
 
     C_n_b: Array
     v_b: Array
-    p_n: Array
+    p_o: Array
 
     @property
     def v_n(self) -> Array:
@@ -57,9 +57,9 @@ def attitude_error(C: Array, C_true: Array) -> Array:
     return vector * np.divide(angle, sine, out=np.full_like(sine, 2.0), where=sine > 0.0)
 
 
-def path_length(p_n: Array) -> float:
+def path_length(p_o: Array) -> float:
     """Length [m] of a path through positions (N, 3)."""
-    return float(np.sum(np.linalg.norm(np.diff(p_n, axis=0), axis=1)))
+    return float(np.sum(np.linalg.norm(np.diff(p_o, axis=0), axis=1)))
 
 
 def inside_fraction(error: Array, sigma: Array, times: float = 3.0) -> float:
@@ -151,8 +151,8 @@ def scores(result: Track, truth: Track) -> Scores:
     """
     dv_n = truth.v_n - result.v_n
     psi = np.degrees(attitude_error(result.C_n_b, truth.C_n_b))
-    dp = (truth.p_n - result.p_n)[:, :2]
-    distance = path_length(truth.p_n)
+    dp = (truth.p_o - result.p_o)[:, :2]
+    distance = path_length(truth.p_o)
     final = float(np.linalg.norm(dp[-1]))
     return Scores(
         body_velocity_rmse=rmse(truth.v_b - result.v_b),

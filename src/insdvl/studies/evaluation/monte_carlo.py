@@ -14,15 +14,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array, Records, Stamps
-from insdvl.navigation.error_state import (
-    ACCELEROMETER_BIAS,
-    ATTITUDE,
-    GYROSCOPE_BIAS,
-    POSITION,
-    body_velocity_jacobian,
-)
+from insdvl.navigation.coordinates import body_velocity_jacobian, position_error
+from insdvl.navigation.error_state import ACCELEROMETER_BIAS, ATTITUDE, GYROSCOPE_BIAS, POSITION
 from insdvl.navigation.events import NS, Event, Initial, ProcessNoise
 from insdvl.navigation.measurements.dvl import Dvl
+from insdvl.navigation.odometry import position_in_odom
 from insdvl.navigation.parameters import FilterParameters, InitialParameters
 from insdvl.simulation.initial_errors import drawn_initial
 from insdvl.simulation.mission import Mission, simulate
@@ -124,7 +120,8 @@ class Run:
 
     def __init__(self, study: Study, split: int, number: int) -> None:
         self.mission = mission_of_run(study, split, number)
-        self.truth = track(self.mission.truth.C_n_b, self.mission.truth.v_n, self.mission.truth.p_n)
+        truth = self.mission.truth
+        self.truth = track(truth.C_n_b, truth.v_n, truth.p_o)
         self._received: dict[str, tuple[Stamps, Array]] = {}
         initial = initial_of_run(self.mission, study, split, number)
         pings = zip(self.mission.dvl_stamps_ns.tolist(), self.mission.v_d, strict=True)
@@ -161,16 +158,16 @@ class Run:
         return self.learned(*estimator(source), RATE)
 
 
-def track(C_n_b: Array, v_n: Array, p_n: Array) -> Track:
+def track(C_n_b: Array, v_n: Array, p_o: Array) -> Track:
     """A track from the velocity in NED (N, 3)."""
-    return Track(C_n_b, np.einsum("kji,kj->ki", C_n_b, v_n), p_n)
+    return Track(C_n_b, np.einsum("kji,kj->ki", C_n_b, v_n), p_o)
 
 
 def track_of(states: Records) -> Track:
     """The track of a filter's states (N,)."""
     nav = states["nav"]
-    C_n_b, v_n, p_n = (np.ascontiguousarray(nav[name]) for name in ("C_n_b", "v_n", "p_n"))
-    return track(C_n_b, v_n, p_n)
+    C_n_b, v_n = (np.ascontiguousarray(nav[name]) for name in ("C_n_b", "v_n"))
+    return track(C_n_b, v_n, position_in_odom(nav))
 
 
 def perfect_heading(result: Track, truth: Track) -> Track:
@@ -182,7 +179,7 @@ def perfect_heading(result: Track, truth: Track) -> Track:
 
 def failed(result: Track, truth: Track, rate: float) -> bool:
     """Whether a result is not finite, or its body velocity was off for `FAILURE_TIME`."""
-    if not all(np.isfinite(a).all() for a in (result.C_n_b, result.v_b, result.p_n)):
+    if not all(np.isfinite(a).all() for a in (result.C_n_b, result.v_b, result.p_o)):
         return True
     lost = np.linalg.norm(result.v_b - truth.v_b, axis=1) > FAILURE_SPEED
     ends = np.flatnonzero(np.diff(np.concatenate([[0], lost.astype(int), [0]])))
@@ -220,7 +217,12 @@ def assess(fold: FoldResult, run: Run) -> tuple[Array, Array]:
     psi = attitude_error(result.C_n_b[at], truth.C_n_b[at])
     bias = m.bias[at] - np.hstack([s["nav"]["b_f"][at], s["nav"]["b_w"][at]])
     biases = slice(ACCELEROMETER_BIAS.start, GYROSCOPE_BIAS.stop)
-    dp = (truth.p_n - result.p_n)[at]
+    dp = position_error(
+        s["nav"][at],
+        truth.C_n_b[at],
+        m.truth.llh[at],
+        invariant=fold.filter.vehicle.invariant,
+    )
     for name, error, covariance in (
         ("nees_velocity", dv, P_va[:, :3, :3]),
         ("nees_attitude", psi, P_va[:, 3:, 3:]),

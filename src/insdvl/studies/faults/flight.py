@@ -109,14 +109,14 @@ def parameters_of(
     sigma, rng = InitialParameters(), np.random.default_rng([seed, 2])
     truth = mission.truth
     psi = rng.normal(0.0, sigma.attitude_std)
-    C_n_b = Rotation.from_rotvec(-psi).as_matrix() @ truth.C_n_b[0]
+    C_o_b = Rotation.from_rotvec(-psi).as_matrix() @ truth.C_o_b[0]
     v_b = truth.C_n_b[0].T @ truth.v_n[0] + rng.normal(0.0, sigma.velocity_std, 3)
     force, turn = sensors.variances
     values = {
         "imu.rate": sensors.rate,
         "process_noise.accelerometer_variance": (force,) * 3,
         "process_noise.gyroscope_variance": (turn,) * 3,
-        "initial.rpy": tuple(rpy_from_rotation(ENU.attitude(C_n_b)).tolist()),
+        "initial.rpy": tuple(rpy_from_rotation(ENU.attitude(C_o_b)).tolist()),
         "initial.velocity": tuple((ENU.body @ v_b).tolist()),
         "origin.height": -5.0,
         "depth.topic": DEPTH if sensors.depth_rate else "",
@@ -225,7 +225,7 @@ class _Outputs:
             v_b=v_b,
             error=v_b - true_v_b,
             sigma=np.array(sigmas),
-            height_error=height + mission.truth.p_n[k, 2],
+            height_error=height + mission.truth.p_o[k, 2],
             height_sigma=height_sigma,
             digest=self.digest.hexdigest(),
             updates=self.updates,

@@ -51,7 +51,7 @@ def start_parameters() -> dict[str, Any]:
     """The filter's parameters for the beginning of any hour, by name."""
     truth = LOOP.truth(np.zeros(1))
     return {
-        "initial.rpy": tuple(rpy_from_rotation(ENU.attitude(truth.C_n_b[0])).tolist()),
+        "initial.rpy": tuple(rpy_from_rotation(ENU.attitude(truth.C_o_b[0])).tolist()),
         "initial.velocity": tuple((ENU.body @ truth.C_n_b[0].T @ truth.v_n[0]).tolist()),
         "origin.height": LOOP.h_0,
     }
@@ -92,7 +92,7 @@ class Health:
             P: (n, n) its covariance.
         """
         C = state["nav"]["C_n_b"]
-        if not all(np.isfinite(state["nav"][name]).all() for name in ("C_n_b", "v_n", "p_n", "P")):
+        if not all(np.isfinite(state["nav"][name]).all() for name in ("C_n_b", "v_n", "llh", "P")):
             return Health(np.nan, np.nan, np.nan)
         sigma = np.sqrt(np.diag(P))
         correlation = P / np.outer(sigma, sigma)
@@ -194,7 +194,7 @@ def steps(parameters: FilterParameters, millions: int, seed: int) -> Iterator[He
         for _ in range(rounds):
             filter_.predict_samples(state, stamps_ns, f_b, w_ib_b, readings, 0, chunk, states)
             v_d = rng.normal((1.0, 0.0, 0.0), 0.05)
-            filter_.update(state, Dvl(int(stamps_ns[-1]), v_d), w_ib_b[-25:].mean(axis=0), 25)
+            filter_.update(state, Dvl(int(stamps_ns[-1]), v_d), w_ib_b[-25:].mean(axis=0), 1 / 25)
             health = health.with_state(state[0], filter_.covariance(state)[0])
             stamps_ns += chunk * step_ns
         yield health

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from insdvl.messages.convert import TWIST_WITH_COVARIANCE
-from insdvl.messages.make import fill_innovation
-from insdvl.messages.topics import IMU, taken
+from insdvl.messages.convert import FIX, TWIST_WITH_COVARIANCE
+from insdvl.messages.make import fill_fix, fill_innovation
+from insdvl.messages.topics import GLOBAL_POSITION, IMU, taken
 from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.frames import CONVENTIONS
 from insdvl.navigation.odometry import biases, odometry
@@ -56,6 +56,10 @@ def write_bag(
         bag.write(encode("/odometry/filtered", state.stamp_ns, message))
         if state.stamp_ns // NS != second:
             second = state.stamp_ns // NS
+            message = new_message(FIX)
+            message.header.frame_id = parameters.base_frame
+            fill_fix(message, state.stamp_ns, state.place, state.place_covariance)
+            bag.write(encode(f"/{GLOBAL_POSITION}", state.stamp_ns, message))
             bias = biases(part.filter, part.states[k])
             message = imu_message(
                 bias.stamp_ns,

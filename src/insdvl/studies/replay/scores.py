@@ -27,6 +27,7 @@ from insdvl.studies.evaluation.metrics import (
 from insdvl.studies.replay.fold import Replayed
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.output import FoldResult
+from insdvl.watch.heading_at_start import heading_at_start
 
 DVL = Dvl.name
 LAGS = 10  # of the autocorrelation
@@ -78,9 +79,9 @@ def truth_of(recording: Sequence[Raw]) -> tuple[Stamps, Track]:
             except RejectedMessage:  # counted where it is folded
                 continue
     return np.array([event.stamp_ns for event in events], dtype=np.int64), Track(
-        np.array([event.C_n_b for event in events]).reshape(-1, 3, 3),
+        np.array([event.C_o_b for event in events]).reshape(-1, 3, 3),
         np.array([event.v for event in events]).reshape(-1, 3),
-        np.array([event.p_n for event in events]).reshape(-1, 3),
+        np.array([event.p_o for event in events]).reshape(-1, 3),
     )
 
 
@@ -114,7 +115,7 @@ def errors_of(fold: Fold | FoldResult, stamps_ns: Stamps, truth: Track) -> dict[
     }
     if inside.sum() < 2:
         return result
-    truth = Track(truth.C_n_b[inside], truth.v_b[inside], truth.p_n[inside])
+    truth = Track(truth.C_n_b[inside], truth.v_b[inside], truth.p_o[inside])
     track, sigma = states_at(fold, stamps_ns[inside])
     errors = scores(track, truth)
     down = fold.filter.vehicle.axes.nav[2, 2]  # of the stream's z
@@ -126,7 +127,7 @@ def errors_of(fold: Fold | FoldResult, stamps_ns: Stamps, truth: Track) -> dict[
         "position_drift_percent": errors.position_drift_percent,
         "heading_rmse_deg": errors.heading_rmse_deg,
         "tilt_rmse_deg": errors.tilt_rmse_deg,
-        "depth_error_end": float(down * (track.p_n[-1, 2] - truth.p_n[-1, 2])),
+        "depth_error_end": float(down * (track.p_o[-1, 2] - truth.p_o[-1, 2])),
         "depth_sigma_end": float(sigma[-1, 5]),
         "body_velocity_inside_3_sigma": inside_fraction(truth.v_b - track.v_b, sigma[:, :3]),
     }
@@ -172,6 +173,8 @@ def report(recording: Sequence[Raw], replayed: Replayed) -> dict[str, Any]:
     known = replayed.initialised
     times_ns = fold.states["nav"]["time_ns"][known]
     document = errors_of(fold, *truth_of(recording))
+    initial = fold.filter.parameters.initial
+    heading = heading_at_start(fold.states[-1], initial) if known.size else None
     for name in dict.fromkeys(replayed.measurements.values()):
         document |= _updates_of(name, replayed)
     return document | {
@@ -184,4 +187,5 @@ def report(recording: Sequence[Raw], replayed: Replayed) -> dict[str, Any]:
         "counts": fold.counts,
         "rejected": {str(key): count for key, count in replayed.refused.items()},
         "frames": replayed.findings,
+        "start": heading[1] if heading else None,
     }

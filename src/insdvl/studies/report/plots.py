@@ -112,10 +112,10 @@ def _legend_above(axes: Axes) -> None:
 
 
 def _draw_track(axes: Axes, truth: Track, results: list[Result], thin: slice) -> None:
-    axes.plot(*truth.p_n[thin, :2].T, color=_TRUTH, linewidth=1.5, label="truth")
-    axes.plot(*truth.p_n[0, :2], "o", color=_TRUTH, label="start")
+    axes.plot(*truth.p_o[thin, :2].T, color=_TRUTH, linewidth=1.5, label="truth")
+    axes.plot(*truth.p_o[0, :2], "o", color=_TRUTH, label="start")
     for result, colour in zip(results, _COLOURS, strict=False):
-        axes.plot(*result.track.p_n[thin, :2].T, color=colour, linewidth=1.2, label=result.label)
+        axes.plot(*result.track.p_o[thin, :2].T, color=colour, linewidth=1.2, label=result.label)
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel("east [m]")
     axes.set_ylabel("north [m]")
@@ -127,7 +127,7 @@ def _draw_position_error(
     axes: Axes, t: Array, truth: Track, results: list[Result], thin: slice
 ) -> None:
     for result, colour in zip(results, _COLOURS, strict=False):
-        error = np.linalg.norm((result.track.p_n - truth.p_n)[thin, :2], axis=1)
+        error = np.linalg.norm((result.track.p_o - truth.p_o)[thin, :2], axis=1)
         axes.plot(t[thin], error, color=colour, linewidth=1.2, label=result.label)
     axes.set_xlim(t[0], t[-1])
     axes.set_ylim(bottom=0.0)

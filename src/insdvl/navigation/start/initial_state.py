@@ -1,16 +1,13 @@
-"""How the state starts: where the origin is, the initial state, its covariance P0, levelling."""
+"""The initial state and its covariance P0: as it is told, or found by a vehicle at rest."""
 
-import math
-import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
 from insdvl.arrays import Array, Records
-from insdvl.files import shown
 from insdvl.kernels import kernel
-from insdvl.navigation import channels, error_state, strapdown
+from insdvl.navigation import channels, coordinates, strapdown
 from insdvl.navigation.error_state import (
     ACCELEROMETER_BIAS,
     ATTITUDE,
@@ -19,114 +16,19 @@ from insdvl.navigation.error_state import (
     VELOCITY,
 )
 from insdvl.navigation.events import NS, Imu, Initial, Origin
-from insdvl.navigation.geometry.earth import gravity
+from insdvl.navigation.geometry import odom
+from insdvl.navigation.geometry.earth import gravity, move
 from insdvl.navigation.geometry.frames import rotation_from_rpy
+from insdvl.navigation.geometry.rotation import cross_matrix
 from insdvl.navigation.measurements.base import Block, Vehicle
+from insdvl.navigation.start import gyrocompass
+from insdvl.navigation.start.parameters import InitialParameters, OriginParameters
 from insdvl.navigation.state import NEVER, State
-from insdvl.parameters.declaration import ParameterError, parameter
 
 #: What the mean specific force at rest may differ from gravity, as a fraction of it.
 LEVEL_TOLERANCE = 0.05
-
-#: A topic's name as ROS 2 takes it.
-_TOPIC = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
-#: Topics of the filter that have another type or another meaning, and its own output.
-_NO_INITIAL_TOPIC = (
-    "imu/data_raw",
-    "dvl/velocity",
-    "dvl/velocity_cov",
-    "process_noise",
-    "ground_truth/process_noise",
-    "gps/fix",
-    "set_odometry",
-    "odometry/filtered",
-)
-
-
-@dataclass(frozen=True)
-class InitialParameters:
-    """The state at the start and its uncertainty."""
-
-    mode: str = parameter(
-        "parameters",
-        "How the filter starts: from these values at the first IMU stamp (parameters); from the "
-        "first message on initial.topic (topic); with roll and pitch from the accelerometer at "
-        "rest (levelling); on set_odometry only.",
-        choices=("parameters", "topic", "levelling", "set_odometry"),
-    )
-    topic: str = parameter("ground_truth/odometry", "Odometry topic for the mode 'topic'.")
-    levelling_time: float = parameter(
-        1.0, "Duration over which 'levelling' averages the specific force.", unit="s", above=0.0
-    )
-    position: tuple[float, ...] = parameter(
-        (0.0, 0.0, 0.0), "Position of base_link in odom.", unit="m", length=3
-    )
-    rpy: tuple[float, ...] = parameter(
-        (0.0, 0.0, 0.0),
-        "Roll, pitch, yaw of base_link in odom; 'levelling' uses the yaw only.",
-        unit="rad",
-        low=-2 * math.pi,
-        high=2 * math.pi,
-        length=3,
-    )
-    velocity: tuple[float, ...] = parameter(
-        (0.0, 0.0, 0.0), "Velocity of base_link, in initial.velocity_frame.", unit="m/s", length=3
-    )
-    velocity_frame: str = parameter(
-        "body",
-        "Axes in which the velocity and its uncertainty are declared.",
-        choices=("body", "nav"),
-    )
-    accelerometer_bias: tuple[float, ...] = parameter(
-        (0.0, 0.0, 0.0), "Bias of each axis, in IMU axes.", unit="m/s^2", length=3
-    )
-    gyroscope_bias: tuple[float, ...] = parameter(
-        (0.0, 0.0, 0.0), "Bias of each axis, in IMU axes.", unit="rad/s", length=3
-    )
-    velocity_std: float = parameter(0.1, "One sigma of each axis.", unit="m/s", low=0.0)
-    tilt_std: float = parameter(
-        math.radians(0.5), "One sigma of roll and pitch.", unit="rad", low=0.0
-    )
-    heading_std: float = parameter(
-        math.radians(1.0), "One sigma of the heading.", unit="rad", low=0.0
-    )
-    accelerometer_bias_std: float = parameter(
-        1e-3, "One sigma of each axis.", unit="m/s^2", low=0.0
-    )
-    gyroscope_bias_std: float = parameter(1e-5, "One sigma of each axis.", unit="rad/s", low=0.0)
-    position_std: float = parameter(0.1, "One sigma of each axis.", unit="m", low=0.0)
-
-    @property
-    def attitude_std(self) -> tuple[float, float, float]:
-        """One sigma of the turns about north, east and down [rad]."""
-        return self.tilt_std, self.tilt_std, self.heading_std
-
-    def __post_init__(self) -> None:
-        if not _TOPIC.fullmatch(self.topic) or self.topic.lstrip("/") in _NO_INITIAL_TOPIC:
-            raise ParameterError(
-                "parameter 'initial.topic' must be a topic that is none of "
-                f"{', '.join(_NO_INITIAL_TOPIC)}, got {shown(self.topic)}"
-            )
-
-
-@dataclass(frozen=True)
-class OriginParameters:
-    """Where on the Earth the origin of odom is."""
-
-    source: str = parameter(
-        "parameters",
-        "Whether odom's origin on the Earth is given here or is the first fix on gps/fix.",
-        choices=("parameters", "topic"),
-    )
-    latitude_deg: float = parameter(
-        32.0, "Geodetic latitude of the origin.", unit="deg", low=-90.0, high=90.0
-    )
-    longitude_deg: float = parameter(
-        34.0, "Longitude of the origin.", unit="deg", low=-180.0, high=360.0
-    )
-    height: float = parameter(
-        0.0, "Height of the origin above the ellipsoid.", unit="m", low=-12_000.0, high=100_000.0
-    )
+#: Both biases, as neighbours.
+_BIASES = slice(ACCELEROMETER_BIAS.start, GYROSCOPE_BIAS.stop)
 
 
 @kernel
@@ -154,7 +56,7 @@ def sample_variance_w(s: State, vehicle: Vehicle) -> Array:
 
 
 class Start:
-    """Starts a state: on an initial state, from the parameters, or by levelling.
+    """Starts a state: on an initial state, from the parameters, by levelling or gyrocompassing.
 
     Args:
         parameters: Of the initial state.
@@ -174,12 +76,13 @@ class Start:
         self._origin = origin
         self._vehicle = vehicle
         self._blocks = tuple(blocks)
+        self._plan = gyrocompass.Plan(parameters.gyrocompass_time, parameters.heading_std)
         axes = vehicle.axes
         in_body = parameters.velocity_frame == "body"
         self._initial = Initial(
             stamp_ns=0,
-            C_n_b=axes.attitude(rotation_from_rpy(np.array(parameters.rpy))),
-            p_n=axes.nav @ np.array(parameters.position),
+            C_o_b=axes.attitude(rotation_from_rpy(np.array(parameters.rpy))),
+            p_o=axes.nav @ np.array(parameters.position),
             v=(axes.body if in_body else axes.nav) @ np.array(parameters.velocity),
             velocity_frame=parameters.velocity_frame,
         )
@@ -188,13 +91,14 @@ class Start:
         """Set the origin, where the parameters tell it."""
         origin = self._origin
         if origin.source == "parameters":
-            latitude, longitude = np.radians([origin.latitude_deg, origin.longitude_deg])
-            locate(s, Origin(0, float(latitude), float(longitude), origin.height))
+            locate(s, Origin(0, *origin.place.tolist()))
 
     def initialise(self, state: Records, initial: Initial, stamp_ns: int, w_ib_b: Array) -> bool:
         """The state becomes `initial`, its covariance P0 mapped to the model's coordinates.
 
-        Without an origin there is no gravity to navigate with: that is counted, and nothing starts.
+        Without an origin there is no gravity to navigate with, and no place on the Earth; that is
+        counted, and nothing starts. The same holds for a position that is no place at which the
+        filter navigates.
 
         Args:
             state: (1,) record.
@@ -205,18 +109,39 @@ class Start:
         Returns:
             Whether the state is initialised now.
         """
+        state[0]["start"]["compass"] = gyrocompass.UNDECIDED
+        return self._begin(state, initial, stamp_ns, w_ib_b, None)
+
+    def _begin(
+        self,
+        state: Records,
+        initial: Initial,
+        stamp_ns: int,
+        w_ib_b: Array,
+        rest: gyrocompass.Rest | None,
+    ) -> bool:
+        """See `initialise`; what was found at rest takes the place of the initial attitude."""
         s, vehicle, parameters = state[0], self._vehicle, self._parameters
         nav, imu = s["nav"], s["channels"]
         if np.isnan(nav["lat_0"]):
             s["counters"]["without_origin"] += 1
             return False
-        C, l_b = initial.C_n_b, vehicle.l_b_imu
+        origin = np.array([nav["lat_0"], nav["lon_0"], nav["h_0"]])
+        place = odom.place_of(initial.p_o, origin)
+        if place is None:
+            s["counters"]["off_the_map"] += 1
+            return False
+        J, turn = odom.jacobian(place, origin)
+        to_n, J_inverse = turn.T, np.linalg.inv(J)
+        C, l_b = to_n @ initial.C_o_b if rest is None else rest.C_n_b, vehicle.l_b_imu
         in_body = initial.velocity_frame == "body"
         nav["b_f"] = self._bias(parameters.accelerometer_bias)
         nav["b_w"] = self._bias(parameters.gyroscope_bias)
         nav["optional"] = 0.0
-        nav["C_n_b"], nav["p_n"] = C, initial.p_n + C @ l_b
-        nav["v_n"] = C @ initial.v if in_body else initial.v
+        nav["C_n_b"], nav["llh"], nav["llh_r"] = C, place, place
+        move(nav["llh"], C @ l_b)
+        nav["bend_n"] = 0.0
+        nav["v_n"] = C @ initial.v if in_body else to_n @ initial.v
         _set_turn_rate(state, vehicle.workspace, vehicle.constants, w_ib_b - nav["b_w"])
         v_arm = C @ np.cross(nav["w_nb_b"], l_b)  # of the IMU against base_link
         nav["v_n"] += v_arm
@@ -224,29 +149,38 @@ class Start:
         n = vehicle.n
         P = np.zeros((n, n))
         P[VELOCITY, VELOCITY] = _or_isotropic(initial.P_v, parameters.velocity_std)
-        P[ATTITUDE, ATTITUDE] = (
-            np.diag(np.square(parameters.attitude_std)) if initial.P_psi is None else initial.P_psi
-        )
+        if not in_body:
+            P[VELOCITY, VELOCITY] = to_n @ P[VELOCITY, VELOCITY] @ to_n.T
+        P_psi = initial.P_psi
+        if P_psi is None:
+            P_psi = np.diag(np.square(parameters.attitude_std))
+        P[ATTITUDE, ATTITUDE] = to_n @ P_psi @ to_n.T if rest is None else rest.P_psi
         P[ACCELEROMETER_BIAS, ACCELEROMETER_BIAS] = np.eye(3) * parameters.accelerometer_bias_std**2
         P[GYROSCOPE_BIAS, GYROSCOPE_BIAS] = np.eye(3) * parameters.gyroscope_bias_std**2
-        P[POSITION, POSITION] = _or_isotropic(initial.P_p, parameters.position_std)
+        if rest is not None:
+            P[ATTITUDE, _BIASES], P[_BIASES, ATTITUDE] = rest.P_psi_b, rest.P_psi_b.T
+        P_p = _or_isotropic(initial.P_p, parameters.position_std)
+        P[POSITION, POSITION] = J_inverse @ P_p @ J_inverse.T
         for block in self._blocks:
             at = vehicle.blocks[block.name]
             P[at, at] = np.diag(np.square(block.std))
             if block.initial:
                 nav["optional"][vehicle.optional(block.name)] = block.initial
-        T = error_state.from_ordinary_errors(
+        x_n = coordinates.from_reference(nav)
+        T = coordinates.from_ordinary_errors(
             C,
             nav["v_n"],
+            x_n,
             invariant=vehicle.invariant,
             velocity_frame=initial.velocity_frame,
             n=n,
         )
         # From base_link to the IMU: its arm turns with the attitude, at the rate of a noisy sample.
-        T[POSITION, ATTITUDE] = -error_state.cross_matrix(C @ l_b)
+        # The reference is where base_link starts, so for `invariant` the two position terms cancel.
+        T[POSITION, ATTITUDE] -= cross_matrix(x_n)
         if not in_body:
-            T[VELOCITY, ATTITUDE] -= error_state.cross_matrix(v_arm)
-        T[VELOCITY, GYROSCOPE_BIAS] = C @ error_state.cross_matrix(l_b)
+            T[VELOCITY, ATTITUDE] -= cross_matrix(v_arm)
+        T[VELOCITY, GYROSCOPE_BIAS] = C @ cross_matrix(l_b)
         P = T @ P @ T.T
         arm_rate = T[VELOCITY, GYROSCOPE_BIAS]
         P[VELOCITY, VELOCITY] += arm_rate @ sample_variance_w(s, vehicle) @ arm_rate.T
@@ -254,7 +188,7 @@ class Start:
         nav["P"][:n, :n] = (P + P.T) / 2
         if imu["imu_ns"] == NEVER:
             imu["imu_ns"] = stamp_ns  # samples are missing from here on: a long wait is a gap
-        nav["time_ns"], nav["initialised"] = stamp_ns, 1
+        nav["time_ns"], nav["start_ns"], nav["initialised"] = stamp_ns, stamp_ns, 1
         # What a channel has not shown before is in the initial state.
         imu["unseen_ns"], imu["equal_ns"] = NEVER, np.maximum(imu["equal_ns"], stamp_ns)
         return True
@@ -280,52 +214,79 @@ class Start:
         if not np.isnan(s["nav"]["lat_0"]):
             if mode == "parameters":
                 started = self.initialise(state, self._initial, sample.stamp_ns, sample.w_ib_b)
-            elif mode == "levelling":
+            elif mode in ("levelling", "gyrocompassing"):
                 started = self._level(state, sample)
         s["channels"]["imu_ns"] = s["nav"]["time_ns"] = sample.stamp_ns
         return started
 
     def _level(self, state: Records, sample: Imu) -> bool:
-        """Collect the specific force at rest, f_b = -C_b_n g_n, then start from its direction.
+        """Collect the samples of a block at rest, f_b = -C_b_n g_n, then start from its direction.
 
-        It restarts behind a gap, and where the mean differs from gravity.
+        It restarts behind a gap, and where the mean differs from gravity. Gyrocompassing goes on
+        over many blocks.
         """
-        s, vehicle = state[0], self._vehicle
+        s, vehicle, parameters = state[0], self._vehicle, self._parameters
         start, nav = s["start"], s["nav"]
         since_ns = sample.stamp_ns - s["channels"]["imu_ns"]
-        if start["level_count"] and since_ns > vehicle.constants[0]["gap_ns"]:
+        if start["level_count"] + start["rest_count"] and since_ns > vehicle.constants[0]["gap_ns"]:
+            if start["rest_count"]:
+                start["compass"] = gyrocompass.GAP
             self._restart_levelling(s)
         if start["level_count"] == 0:
             start["level_ns"] = sample.stamp_ns
         start["level_f"] += sample.f_b
+        start["level_w"] += sample.w_ib_b
         start["level_count"] += 1
-        duration = round(self._parameters.levelling_time * NS)
+        duration = round(parameters.levelling_time * NS)
         if sample.stamp_ns - start["level_ns"] < duration:
             return False
-        f_b = start["level_f"] / start["level_count"] - self._bias(
-            self._parameters.accelerometer_bias
-        )
+        count = int(start["level_count"])
+        f_b = start["level_f"] / count - self._bias(parameters.accelerometer_bias)
+        w_ib_b = start["level_w"] / count - self._bias(parameters.gyroscope_bias)
         g = gravity(nav["lat_0"], nav["h_0"])
         if abs(np.hypot.reduce(f_b) - g) > LEVEL_TOLERANCE * g:  # cannot overflow
             self._restart_levelling(s)
             return False
-        roll = np.arctan2(-f_b[1], -f_b[2])
-        pitch = np.arctan2(f_b[0], np.hypot(f_b[1], f_b[2]))
-        C = self._initial.C_n_b
-        heading = np.arctan2(C[1, 0], C[0, 0])
-        initial = Initial(
-            stamp_ns=sample.stamp_ns,
-            C_n_b=rotation_from_rpy(np.array([roll, pitch, heading])),
-            p_n=self._initial.p_n,
-            v=self._initial.v,
-            velocity_frame=self._initial.velocity_frame,
+        undecided = start["compass"] == gyrocompass.UNDECIDED
+        if parameters.mode == "gyrocompassing" and undecided:
+            noise, mean = self._noise(s), np.concatenate([f_b, w_ib_b])
+            gyrocompass.see_block(s, mean, count, noise, self._plan, sample.stamp_ns)
+            if start["compass"] == gyrocompass.FOUND:
+                rest = gyrocompass.at_rest(s, noise)
+                return self._begin(state, self._initial, sample.stamp_ns, sample.w_ib_b, rest)
+            if start["compass"] == gyrocompass.UNDECIDED:
+                self._clear_block(s)
+                return False
+        C = self._initial.C_o_b
+        rpy = np.array([*gyrocompass.level(f_b), np.arctan2(C[1, 0], C[0, 0])])
+        initial = replace(self._initial, C_o_b=rotation_from_rpy(rpy))
+        return self._begin(state, initial, sample.stamp_ns, sample.w_ib_b, None)
+
+    def _noise(self, s: State) -> gyrocompass.Noise:
+        """What is told of the IMU now."""
+        c, parameters = self._vehicle.constants[0], self._parameters
+        per_sample = c["density"] * c["rate"]
+        return gyrocompass.Noise(
+            f=s["noise"]["Q_f"] * per_sample,
+            w=sample_variance_w(s, self._vehicle),
+            walk_f=float(c["eps_f"]),
+            walk_w=float(c["eps_w"]),
+            bias_f=parameters.accelerometer_bias_std,
+            bias_w=parameters.gyroscope_bias_std,
+            rate=float(c["rate"]),
         )
-        return self.initialise(state, initial, sample.stamp_ns, sample.w_ib_b)
+
+    def _restart_levelling(self, s: State) -> None:
+        self._clear_block(s)
+        start = s["start"]
+        start["rest_sum"], start["rest_nis"] = 0.0, 0.0
+        start["rest_count"], start["rest_blocks"] = 0, 0
+        s["counters"]["not_level"] += 1
 
     @staticmethod
-    def _restart_levelling(s: State) -> None:
-        s["start"]["level_f"], s["start"]["level_count"] = 0.0, 0
-        s["counters"]["not_level"] += 1
+    def _clear_block(s: State) -> None:
+        start = s["start"]
+        start["level_f"], start["level_w"], start["level_count"] = 0.0, 0.0, 0
 
 
 def _or_isotropic(P: Array | None, std: float) -> Array:

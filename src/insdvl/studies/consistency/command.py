@@ -1,0 +1,111 @@
+"""The command `insdvl consistency`: the numbers of docs/results/consistency.md, and the page."""
+
+import argparse
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from insdvl.files import check_writable, json_text, read_parts, write
+from insdvl.jobs.options import add_worker_options, workers_from
+from insdvl.jobs.pool import Pool, TaskError, open_pool
+from insdvl.jobs.store import Store, environment
+from insdvl.studies.consistency.page import STUDIES, consistency_page
+from insdvl.studies.consistency.study import Extent, Study
+from insdvl.studies.evaluation.comparison import MIN_RUNS
+from insdvl.studies.evaluation.options import check_names
+
+NAME = "consistency"
+_RUNS, _QUICK_RUNS = 100, 4
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's options."""
+    names = ", ".join(study.name for study in STUDIES)
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("docs", "results"),
+        metavar="DIR",
+        help=f"folder of {NAME}.md and {NAME}.json (default: ./docs/results)",
+    )
+    parser.add_argument(
+        "--studies",
+        metavar="NAME,NAME",
+        help="studies to compute, separated by commas, or 'none' to write the page only (default: "
+        f"all): {names}; the numbers of the others are kept",
+    )
+    parser.add_argument(
+        "--runs",
+        type=int,
+        metavar="N",
+        help=f"number of runs of each row (default: {_RUNS}, or {_QUICK_RUNS} with --quick)",
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="leave out rows that another one resembles"
+    )
+    parser.add_argument("--seed", type=int, default=1, help="random seed (default: 1)")
+    add_worker_options(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Compute the studies and write the page; the exit code is 2 for invalid input."""
+    try:
+        extent, asked = _asked(arguments)
+        folder = arguments.out
+        folder.mkdir(parents=True, exist_ok=True)
+        for ending in ("md", "json"):
+            check_writable(folder / f"{NAME}.{ending}", "--out")
+        studies = documents(folder)
+        if asked:
+            with open_pool(workers_from(arguments)) as pool:
+                stores = [_compute(study, extent, folder, pool, studies) for study in asked]
+            for store in stores:  # kept until now, so that an interrupted command resumes
+                store.clear()
+        write(folder / f"{NAME}.md", consistency_page(studies).encode())
+    except TaskError as error:
+        print(f"insdvl {NAME}: {error}", file=sys.stderr)
+        return 1
+    except (ValueError, OSError) as error:
+        print(f"insdvl {NAME}: {error}", file=sys.stderr)
+        return 2
+    print(folder / f"{NAME}.md")
+    return 0
+
+
+def _asked(arguments: argparse.Namespace) -> tuple[Extent, list[Study]]:
+    runs = arguments.runs
+    if runs is None:
+        runs = _QUICK_RUNS if arguments.quick else _RUNS
+    if runs < MIN_RUNS:
+        raise ValueError(f"--runs must be >= {MIN_RUNS}, got {runs}")
+    if arguments.seed < 0:
+        raise ValueError(f"--seed must be >= 0, got {arguments.seed}")
+    names = [study.name for study in STUDIES]
+    if arguments.studies is not None:
+        names = [] if arguments.studies == "none" else arguments.studies.split(",")
+        check_names("--studies", names, [study.name for study in STUDIES])
+    extent = Extent(runs, arguments.seed, arguments.quick)
+    return extent, [study for study in STUDIES if study.name in names]
+
+
+def _compute(
+    study: Study, extent: Extent, folder: Path, pool: Pool, studies: dict[str, Any]
+) -> Store:
+    """Compute a study and write the numbers of all; its store is not cleared."""
+    store = Store(folder / f".{NAME}-{study.name}.work", asdict(extent), study.source)
+    document = study.compute(extent, pool, store)
+    document["environment"] = environment(study.source)
+    studies[study.name] = document
+    write(folder / f"{NAME}.json", json_text({"studies": studies}).encode())
+    return store
+
+
+def documents(folder: Path) -> dict[str, Any]:
+    """Numbers of the studies that are in a folder, by name.
+
+    Raises:
+        ValueError: The file cannot be read, is damaged or incomplete; the message names it.
+    """
+    found = read_parts(folder, [NAME], lambda parts: consistency_page(parts[NAME]["studies"]))
+    return dict(found[NAME]["studies"]) if found else {}
