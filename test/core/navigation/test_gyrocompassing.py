@@ -127,7 +127,7 @@ def told(s: State) -> bool:
 
 def test_a_fog_finds_the_heading_and_its_covariance_with_the_biases() -> None:
     """P_0 against the errors of many starts, biases drawn from what is told; 9 of 15 states."""
-    parameters, runs = settings(FOG, gyrocompass_time=12.0), 150
+    parameters, runs = settings(FOG, gyrocompass_time=12.0), 60
     sigma = np.repeat([FOG.accelerometer_bias, FOG.gyroscope_bias], 3)
     C, errors = rotation_from_rpy(np.array(RPY)), []
     for run in range(runs):
@@ -203,7 +203,7 @@ def test_a_vehicle_at_rest_is_not_taken_for_a_moving_one() -> None:
     The squared misfits of the blocks have the mean of their degrees of freedom.
     """
     misfits, blocks = 0.0, 0
-    for run in range(20):
+    for run in range(8):
         s = first_state(settings(FOG), *readings(FOG, 100 + run))
         assert s["start"]["compass"] == FOUND
         misfits += s["start"]["rest_nis"]
