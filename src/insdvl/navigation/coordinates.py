@@ -27,6 +27,7 @@ from insdvl.kernels import kernel
 from insdvl.navigation.error_state import ATTITUDE, POSITION, VELOCITY
 from insdvl.navigation.geometry import earth
 from insdvl.navigation.geometry.rotation import (
+    about_down,
     cross_matrix,
     exponential,
     orthonormalise,
@@ -65,63 +66,53 @@ def inject(s: State, c: Constants, dx: Array) -> None:
         if not earth.move(nav.llh, dx[_P : _P + 3]):
             s.counters.beyond_latitude += 1
         return
-    tilted, before, after = np.empty(3), np.empty(3), np.empty(3)
+    heading = np.empty((3, 3))
+    about_down(heading, dx[_A + 2])
     exponential(turn, rotated, dx[_A], dx[_A + 1], 0.0)
     product(rotated, turn, nav.C_n_b)
-    cos, sin = np.cos(dx[_A + 2]), np.sin(dx[_A + 2])
-    for j in range(3):
-        nav.C_n_b[0, j] = cos * rotated[0, j] - sin * rotated[1, j]
-        nav.C_n_b[1, j] = sin * rotated[0, j] + cos * rotated[1, j]
-        nav.C_n_b[2, j] = rotated[2, j]
+    product(nav.C_n_b, heading, rotated)
     orthonormalise(nav.C_n_b, rotated)
+    tilted, before, after = np.empty(3), np.empty(3), np.empty(3)
     rotate(tilted, turn, nav.v_n)
     for i in range(3):
         tilted[i] += dx[_V + i]
-    _turn_about_down(nav.v_n, tilted, cos, sin)
+    rotate(nav.v_n, heading, tilted)
     earth.displacement(before, nav.llh_r, nav.llh)
     rotate(tilted, turn, before)
     for i in range(3):
         tilted[i] += dx[_P + i]
-    _turn_about_down(after, tilted, cos, sin)
+    rotate(after, heading, tilted)
     for i in range(3):
         after[i] -= before[i]
     if not earth.move(nav.llh, after):
         s.counters.beyond_latitude += 1
-    turn_axes(nav.P, cos, sin)
+    # The errors of velocity, tilt and position are told in the axes of the estimated heading.
+    for block in (_V, _A, _P):
+        turn_block(nav.P, block, heading)
     north, east = nav.bend_n[0], nav.bend_n[1]
-    nav.bend_n[0] = cos * north - sin * east
-    nav.bend_n[1] = sin * north + cos * east
+    nav.bend_n[0] = heading[0, 0] * north + heading[0, 1] * east
+    nav.bend_n[1] = heading[1, 0] * north + heading[1, 1] * east
 
 
 @kernel
-def _turn_about_down(out: Array, a: Array, cos: float, sin: float) -> None:
-    """out = R_h a; `out` is not a."""
-    out[0] = cos * a[0] - sin * a[1]
-    out[1] = sin * a[0] + cos * a[1]
-    out[2] = a[2]
-
-
-@kernel
-def turn_axes(P: Array, cos: float, sin: float) -> None:
-    """P (N, N) of `invariant` in the axes of a heading that was turned by an angle, in place.
-
-    The errors of velocity, tilt and position are told in the axes of the estimated heading.
-    """
-    n = P.shape[0]
-    for a in (_V, _A, _P):
-        for j in range(n):
-            north, east = P[a, j], P[a + 1, j]
-            P[a, j] = cos * north - sin * east
-            P[a + 1, j] = sin * north + cos * east
-    for a in (_V, _A, _P):
-        for i in range(n):
-            north, east = P[i, a], P[i, a + 1]
-            P[i, a] = cos * north - sin * east
-            P[i, a + 1] = sin * north + cos * east
-    for a in (_V, _A, _P):  # the sums of two mirrored elements are rounded in different orders
-        for i in range(a, a + 2):
-            for j in range(n):
-                P[j, i] = P[i, j]
+def turn_block(P: Array, block: int, R: Array) -> None:
+    """P (N, N) with the three states from ``block`` on in turned axes, R (3, 3), in place."""
+    a, turned = np.empty(3), np.empty(3)
+    for j in range(P.shape[0]):
+        for i in range(3):
+            a[i] = P[block + i, j]
+        rotate(turned, R, a)
+        for i in range(3):
+            P[block + i, j] = turned[i]
+    for i in range(P.shape[0]):
+        for j in range(3):
+            a[j] = P[i, block + j]
+        rotate(turned, R, a)
+        for j in range(3):
+            P[i, block + j] = turned[j]
+    for i in range(3):  # the sums of two mirrored elements are rounded in different orders
+        for j in range(P.shape[0]):
+            P[j, block + i] = P[block + i, j]
 
 
 def remaining(dx: Array) -> Array:
@@ -133,9 +124,8 @@ def remaining(dx: Array) -> Array:
     Args:
         dx: (n,) the correction.
     """
-    cos, sin = np.cos(dx[_A + 2]), np.sin(dx[_A + 2])
-    R_h = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    T = np.eye(len(dx))
+    R_h, T = np.empty((3, 3)), np.eye(len(dx))
+    about_down(R_h, dx[_A + 2])
     T[ATTITUDE, ATTITUDE] = R_h
     for block in (VELOCITY, POSITION):
         T[block, block] = R_h

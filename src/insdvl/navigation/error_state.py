@@ -52,22 +52,35 @@ def add_block(F: Array, row: int, column: int, sign: float, M: Array) -> None:
 
 
 @kernel
+def heading_moments(variance: float) -> tuple[float, float, float]:
+    """How sine and cosine of a normal heading error h of that variance go along with it.
+
+    From E[cos h] = exp(-variance / 2) and E[cos 2h] = exp(-2 variance).
+
+    Returns:
+        The slope of the best line through sin h, E[h sin h] / variance; the second moment of what
+        that line leaves of sin h; and that of 1 - cos h.
+    """
+    one, two = np.exp(-0.5 * variance), np.exp(-2.0 * variance)
+    of_sine = 0.5 * (1.0 - two) - one * one * variance
+    of_cosine = 1.0 - 2.0 * one + 0.5 * (1.0 + two)
+    return one, max(of_sine, 0.0), max(of_cosine, 0.0)  # rounding may leave less than nothing
+
+
+@kernel
 def earth_rate_seen(s: State, w: Workspace) -> None:
     """What an uncertain heading h lets be known of the Earth's rotation, into the workspace.
 
     In the axes of the estimated heading it is off by w_N (cos h - 1) north and -w_N sin h east.
-    For a normal h the best line through sin h has the slope exp(-variance / 2). The rest of both is
-    an unknown rate r that stays while h does, and over the time T since the start makes a tilt of
+    F has the slope of the best line through sin h (`heading_moments`). The rest of both is an
+    unknown rate r that stays while h does, and over the time T since the start makes a tilt of
     variance (r T)^2, as a density 2 r^2 T does. A bias that is as unknown covers it.
     """
     P = s.nav.P
-    variance = P[_A + 2, _A + 2]
-    one, two = np.exp(-0.5 * variance), np.exp(-2.0 * variance)
-    w.heading_slope = one
+    w.heading_slope, of_sine, of_cosine = heading_moments(P[_A + 2, _A + 2])
     bias = (P[_W, _W] + P[_W + 1, _W + 1] + P[_W + 2, _W + 2]) / 3.0
     twice = 2e-9 * (s.nav.time_ns - s.nav.start_ns)
-    north = max(1.0 - 2.0 * one + 0.5 * (1.0 + two), 0.0) * w.w_ie_n[0] ** 2
-    east = max(0.5 * (1.0 - two) - one * one * variance, 0.0) * w.w_ie_n[0] ** 2
+    north, east = of_cosine * w.w_ie_n[0] ** 2, of_sine * w.w_ie_n[0] ** 2
     w.heading_rest[0] = twice * north * north / (north + bias) if north > 0.0 else 0.0
     w.heading_rest[1] = twice * east * east / (east + bias) if east > 0.0 else 0.0
 

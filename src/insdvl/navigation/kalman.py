@@ -204,29 +204,8 @@ def _correct(
         for i in range(3):
             dv[i] = dx[_V + i] - mean[i]
         rotate(dx[_V : _V + 3], turn, dv)
-        _turn_velocity(P, turn, n)
+        coordinates.turn_block(P, _V, turn)
     _inject(state, constants, dx)
-
-
-@kernel
-def _turn_velocity(P: Array, turn: Array, n: int) -> None:
-    """The velocity error of P in turned axes."""
-    column, turned = np.empty(3), np.empty(3)
-    for j in range(n):
-        for i in range(3):
-            column[i] = P[_V + i, j]
-        rotate(turned, turn, column)
-        for i in range(3):
-            P[_V + i, j] = turned[i]
-    for i in range(n):
-        for j in range(3):
-            column[j] = P[i, _V + j]
-        rotate(turned, turn, column)
-        for j in range(3):
-            P[i, _V + j] = turned[j]
-    for i in range(3):  # the sums of two mirrored elements are rounded in different orders
-        for j in range(n):
-            P[j, _V + i] = P[_V + i, j]
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from insdvl.navigation.error_state import (
 from insdvl.navigation.filter import LAYOUT, Filter
 from insdvl.navigation.geometry import earth, odom
 from insdvl.navigation.geometry.rotation import (
+    about_down,
     cross,
     product,
     product_transposed,
@@ -156,7 +157,7 @@ def _odometry(states: Records, k: int, constants: Records, out: Records) -> None
     odom.position(y, o.place, o.origin)
     rotate(o.position, c.nav, y)
     odom.axes(M, o.place, o.origin)
-    odom.yaw_rotation(N, odom.convergence(M))
+    about_down(N, odom.convergence(M))
     product(o.C[0], c.nav, N)
     error_state.set_block(o.to_odom, 3, 3, 1.0, o.C[0])
     odom.convergence_slope(y, o.place, o.origin)
@@ -175,14 +176,16 @@ def _odometry(states: Records, k: int, constants: Records, out: Records) -> None
             x[i] -= y[i]
     skew(M, x)
     error_state.set_block(J, 0, _ATTITUDE, 1.0, M)
+    slope, of_sine, of_cosine = error_state.heading_moments(s.nav.P[_HEADING, _HEADING])
     if c.invariant:
-        _shorten(J, s.nav.P[_HEADING, _HEADING])
+        for i in range(3):
+            J[i, _HEADING] *= slope
     for i in range(3):
         J[i, _POSITION + i] = 1.0
         J[3 + i, _ATTITUDE + i] = 1.0
     _congruence(o.local_covariance, J, s.nav.P, n)
     if c.invariant:
-        _add_arc(o.local_covariance, x, s.nav.P[_HEADING, _HEADING])
+        _add_arc(o.local_covariance, x, of_sine, of_cosine)
     o.place_covariance[:] = o.local_covariance[:3, :3]
     _congruence(o.pose_covariance, o.to_odom, o.local_covariance, 6)
 
@@ -225,27 +228,16 @@ def _odometry(states: Records, k: int, constants: Records, out: Records) -> None
 
 
 @kernel
-def _shorten(J: Array, variance: float) -> None:
-    """The heading column of J for a position that a heading error turns: E[sin h h] / variance."""
-    for i in range(3):
-        J[i, _HEADING] *= np.exp(-0.5 * variance)
-
-
-@kernel
-def _add_arc(covariance: Array, x_n: Array, variance: float) -> None:
+def _add_arc(covariance: Array, x_n: Array, of_sine: float, of_cosine: float) -> None:
     """Complete the covariance (6, 6) of the pose by the second moments of an arc, horizontally.
 
-    With a normal heading error h of that variance the true position lies at exp([h e_D x]) x from
-    the reference: beside x by sin(h) x, of which the Jacobian has the part that is linear in h, and
-    short of it by (1 - cos h) x. E[cos h] = exp(-variance / 2), E[cos 2h] = exp(-2 variance).
+    With a heading error h the true position lies at exp([h e_D x]) x from the reference: beside x
+    by sin(h) x, of which the Jacobian has the line, and short of it by (1 - cos h) x.
     """
-    one, two = np.exp(-0.5 * variance), np.exp(-2.0 * variance)
-    beside = 0.5 * (1.0 - two) - one * one * variance
-    short = 1.0 - 2.0 * one + 0.5 * (1.0 + two)
     beside_n = (-x_n[1], x_n[0])
     for i in range(2):
         for j in range(2):
-            covariance[i, j] += short * x_n[i] * x_n[j] + beside * beside_n[i] * beside_n[j]
+            covariance[i, j] += of_cosine * x_n[i] * x_n[j] + of_sine * beside_n[i] * beside_n[j]
 
 
 @kernel

@@ -19,6 +19,7 @@ from insdvl.navigation.geometry.earth import (
     radii,
     wrapped,
 )
+from insdvl.navigation.geometry.rotation import about_down
 
 #: Farthest horizontal distance [m] from the origin at which a place is found from its position in
 #: odom. The filter itself may go farther.
@@ -95,15 +96,6 @@ def convergence_slope(slope: Array, place: Array, origin: Array) -> None:
 
 
 @kernel
-def yaw_rotation(C: Array, gamma: float) -> None:
-    """C (3, 3) = Rz(gamma): C_o_b = Rz(gamma) C_n_b."""
-    s, c = np.sin(gamma), np.cos(gamma)
-    C[0, 0], C[0, 1], C[0, 2] = c, -s, 0.0
-    C[1, 0], C[1, 1], C[1, 2] = s, c, 0.0
-    C[2, 0], C[2, 1], C[2, 2] = 0.0, 0.0, 1.0
-
-
-@kernel
 def position_jacobian(J: Array, C_o_n: Array) -> None:
     """J (3, 3), p_o by metres north, east, down at the vehicle: rows x, y of `axes`, z alone."""
     J[:] = C_o_n
@@ -144,7 +136,7 @@ def jacobian(place: Array, origin: Array) -> tuple[Array, Array]:
     C, J, turn = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     axes(C, place, origin)
     position_jacobian(J, C)
-    yaw_rotation(turn, convergence(C))
+    about_down(turn, convergence(C))
     return J, turn
 
 

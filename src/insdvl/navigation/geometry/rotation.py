@@ -31,6 +31,15 @@ def cross_matrix(a: Array) -> Array:
 
 
 @kernel
+def about_down(C: Array, angle: float) -> None:
+    """C (3, 3) = exp([angle e_D x]): a turn of the heading by an angle [rad]."""
+    s, c = np.sin(angle), np.cos(angle)
+    C[0, 0], C[0, 1], C[0, 2] = c, -s, 0.0
+    C[1, 0], C[1, 1], C[1, 2] = s, c, 0.0
+    C[2, 0], C[2, 1], C[2, 2] = 0.0, 0.0, 1.0
+
+
+@kernel
 def cross(out: Array, a: Array, b: Array) -> None:
     """out = a x b; `out` is neither of them."""
     out[0] = a[1] * b[2] - a[2] * b[1]
