@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import yaml
 from rclpy.parameter import Parameter
-from scipy.spatial.transform import Rotation
 
 from insdvl import files
 from insdvl.messages import convert
@@ -31,6 +30,7 @@ from insdvl.navigation.geometry.frames import ENU, rpy_from_rotation
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.recordings.bag_writer import BagWriter
 from insdvl.recordings.base import Raw
+from insdvl.simulation.initial_errors import drawn_initial
 from insdvl.simulation.trajectories import trajectory_named
 from ros_insdvl.conversions import message_class
 from ros_insdvl.monitor import Monitor
@@ -89,19 +89,14 @@ def initial_parameters(seed: int) -> dict[str, Any]:
     """Parameters of the initial state: the truth at the first IMU stamp with an error from P_0."""
     trajectory = trajectory_named(TRAJECTORY)
     truth = trajectory.truth(np.array([1.0 / IMU_RATE]))
-    sigma = FilterParameters().initial
-    rng = np.random.default_rng([seed, 1])
-    psi = rng.normal(0.0, [sigma.tilt_std, sigma.tilt_std, sigma.heading_std])
-    C_o_b = Rotation.from_rotvec(psi).as_matrix().T @ truth.C_o_b[0]  # C_true = exp([psi x]) C
-    v_b = truth.C_n_b[0].T @ truth.v_n[0] + rng.normal(0.0, sigma.velocity_std, 3)
-    p_o = truth.p_o[0] + rng.normal(0.0, sigma.position_std, 3)
+    drawn = drawn_initial(truth, FilterParameters().initial, np.random.default_rng([seed, 1]))
     return {
         "initial": {
             "mode": "parameters",
-            "position": (ENU.nav @ p_o).tolist(),
-            "rpy": rpy_from_rotation(ENU.attitude(C_o_b)).tolist(),
-            "velocity": (ENU.body @ v_b).tolist(),
-            "velocity_frame": "body",
+            "position": (ENU.nav @ drawn.p_o).tolist(),
+            "rpy": rpy_from_rotation(ENU.attitude(drawn.C_o_b)).tolist(),
+            "velocity": (ENU.body @ drawn.v).tolist(),
+            "velocity_frame": drawn.velocity_frame,
         },
         "origin": {
             "latitude_deg": float(np.degrees(trajectory.lat_0)),

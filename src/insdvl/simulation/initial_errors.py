@@ -1,11 +1,15 @@
 """Initial states whose errors are drawn from the filter's P_0: the one place that draws them."""
 
+import math
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from insdvl.navigation.events import Initial
 from insdvl.navigation.parameters import InitialParameters
 from insdvl.simulation.motion import Truth
+
+_DOWN = np.array([0.0, 0.0, 1.0])
 
 
 def drawn_initial(
@@ -15,11 +19,13 @@ def drawn_initial(
     *,
     stamp_ns: int = 0,
     with_position: bool = True,
+    uniform_heading: bool = False,
 ) -> Initial:
     """The truth with a random error of attitude, position and velocity.
 
-    The errors are independent, in this order of draws: rotation vector about odom's axes, position,
-    velocity in the frame ``sigma.velocity_frame``.
+    The errors are independent, in this order of draws: tilt and heading, position, velocity in the
+    frame ``sigma.velocity_frame``. The true attitude is R_h R_t times the drawn one, with the
+    heading error R_h and the tilt R_t, as in the error state (navigation/coordinates.py).
 
     Args:
         truth: Its first state is used.
@@ -27,16 +33,21 @@ def drawn_initial(
         rng: Generator of the draws.
         stamp_ns: Stamp of the event.
         with_position: False keeps the true position and draws nothing for it.
+        uniform_heading: Draws a heading error that is uniform within +-pi, in place of the normal
+            one; all other errors are the same.
     """
     C_o_b, v_b = truth.C_o_b[0], truth.C_n_b[0].T @ truth.v_n[0]
     psi = rng.standard_normal(3) * sigma.attitude_std
+    if uniform_heading:
+        psi[2] = rng.uniform(-math.pi, math.pi)
+    error = Rotation.from_rotvec(psi * _DOWN) * Rotation.from_rotvec(psi * (1.0 - _DOWN))
     p_o = truth.p_o[0]
     if with_position:
         p_o = p_o + sigma.position_std * rng.standard_normal(3)
     v = v_b if sigma.velocity_frame == "body" else C_o_b @ v_b
     return Initial(
         stamp_ns=stamp_ns,
-        C_o_b=Rotation.from_rotvec(-psi).as_matrix() @ C_o_b,
+        C_o_b=error.as_matrix().T @ C_o_b,
         p_o=p_o,
         v=v + sigma.velocity_std * rng.standard_normal(3),
         velocity_frame=sigma.velocity_frame,

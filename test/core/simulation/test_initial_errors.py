@@ -43,3 +43,23 @@ def test_a_true_position_takes_no_draw():
     with_error.bit_generator.state = np.random.default_rng(2).bit_generator.state
     with_error.standard_normal(6)
     np.testing.assert_array_equal(without.standard_normal(3), with_error.standard_normal(3))
+
+
+def test_a_uniform_heading_leaves_the_tilt_and_all_other_errors_as_they_are():
+    normal = drawn_initial(TRUTH, SIGMA, np.random.default_rng(3))
+    drawn = [
+        drawn_initial(TRUTH, SIGMA, np.random.default_rng([3, seed]), uniform_heading=True)
+        for seed in range(2000)
+    ]
+    # The vertical that the vehicle sees is off by the tilt, whatever the heading is.
+    up = np.array([C @ initial.C_o_b[2] for initial in drawn])
+    np.testing.assert_allclose(up[:, :2].std(axis=0), 0.01, rtol=0.1)
+    turn = np.array([C @ initial.C_o_b.T for initial in drawn])
+    heading = np.arctan2(turn[:, 1, 0], turn[:, 0, 0])
+    quarters = np.histogram(heading, bins=4, range=(-np.pi, np.pi))[0]
+    assert np.all(np.abs(quarters - 500) < 4 * np.sqrt(2000 * 0.25 * 0.75))
+    other = drawn_initial(TRUTH, replace(SIGMA, heading_std=2.0), np.random.default_rng(3))
+    np.testing.assert_array_equal(other.p_o, normal.p_o)
+    np.testing.assert_array_equal(other.v, normal.v)
+    tilts = [np.hypot(*(C @ initial.C_o_b[2])[:2]) for initial in (normal, other)]
+    assert tilts[0] == pytest.approx(tilts[1], rel=1e-9)

@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from insdvl.arrays import Array
@@ -26,6 +25,7 @@ from insdvl.navigation.process_noise.parameters import ProcessNoiseParameters
 from insdvl.navigation.start.parameters import InitialParameters, OriginParameters
 from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.grades import Grade
+from insdvl.simulation.initial_errors import drawn_initial
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.motion import Channel, Ramp, Trajectory, Truth, Wave
 from insdvl.simulation.noise import constant
@@ -82,8 +82,6 @@ RATE = 100.0
 
 #: Probability of the published ellipse.
 ELLIPSE = 0.95
-
-_DOWN = np.array([0.0, 0.0, 1.0])
 
 #: Streams of a run beside those of its mission.
 _INITIAL, _EVENTS = 1, 2
@@ -190,22 +188,9 @@ def parameters(case: Case) -> FilterParameters:
 
 
 def initial_state(case: Case, truth: Truth, rng: np.random.Generator) -> Initial:
-    """The true start in odom, less an error drawn from P_0."""
-    sigma = parameters(case).initial
-    psi = rng.standard_normal(3) * sigma.attitude_std
-    anything = rng.uniform(-math.pi, math.pi)
-    if case.uniform_heading:
-        psi[2] = anything
-    C = truth.C_n_b[0]
-    # C_true = R_h R_t C, as the error state has it; for a small heading error exp([psi x]) C.
-    turn = Rotation.from_rotvec(psi * _DOWN) * Rotation.from_rotvec(psi * (1.0 - _DOWN))
-    return Initial(
-        stamp_ns=0,
-        C_o_b=turn.as_matrix().T @ truth.C_o_b[0],
-        p_o=truth.p_o[0] - case.position_std * rng.standard_normal(3),
-        v=C.T @ truth.v_n[0] - sigma.velocity_std * rng.standard_normal(3),
-        velocity_frame="body",
-    )
+    """The true start in odom with an error drawn from P_0."""
+    initial = parameters(case).initial
+    return drawn_initial(truth, initial, rng, uniform_heading=case.uniform_heading)
 
 
 def mission_of(case: Case, seed: int) -> Mission:

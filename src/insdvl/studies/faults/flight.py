@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array, Stamps
 from insdvl.messages.convert import stamp_ns as stamp_of
@@ -20,6 +19,7 @@ from insdvl.navigation.geometry.frames import ENU, rpy_from_rotation
 from insdvl.navigation.odometry import Odometry
 from insdvl.navigation.parameters import FilterParameters, InitialParameters
 from insdvl.parameters.declaration import build
+from insdvl.simulation.initial_errors import drawn_initial
 from insdvl.simulation.mission import Mission
 from insdvl.studies.faults.stream import Arrival, Sensors, Stream, learned_from
 from insdvl.timeline.fold import Fold
@@ -107,17 +107,14 @@ def parameters_of(
         changes: Further parameters, by name.
     """
     sigma, rng = InitialParameters(), np.random.default_rng([seed, 2])
-    truth = mission.truth
-    psi = rng.normal(0.0, sigma.attitude_std)
-    C_o_b = Rotation.from_rotvec(-psi).as_matrix() @ truth.C_o_b[0]
-    v_b = truth.C_n_b[0].T @ truth.v_n[0] + rng.normal(0.0, sigma.velocity_std, 3)
+    initial = drawn_initial(mission.truth, sigma, rng, with_position=False)
     force, turn = sensors.variances
     values = {
         "imu.rate": sensors.rate,
         "process_noise.accelerometer_variance": (force,) * 3,
         "process_noise.gyroscope_variance": (turn,) * 3,
-        "initial.rpy": tuple(rpy_from_rotation(ENU.attitude(C_o_b)).tolist()),
-        "initial.velocity": tuple((ENU.body @ v_b).tolist()),
+        "initial.rpy": tuple(rpy_from_rotation(ENU.attitude(initial.C_o_b)).tolist()),
+        "initial.velocity": tuple((ENU.body @ initial.v).tolist()),
         "origin.height": -5.0,
         "depth.topic": DEPTH if sensors.depth_rate else "",
         "depth.surface_std": 0.0,
