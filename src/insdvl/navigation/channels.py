@@ -1,6 +1,7 @@
-"""Channels of the IMU that do not show the motion: saturated, or frozen.
+"""Channels of the IMU that do not show the motion: saturated, frozen, or glitching.
 
-The filter goes on with what it has, and its covariance knows what may have gone unseen.
+The filter goes on with what it has, and its covariance knows what may have gone unseen. The rules
+are derived in docs/explanation/filter.md.
 """
 
 from dataclasses import dataclass
@@ -46,14 +47,14 @@ class ImuParameters:
         0.05, "Unseen angular rate in a gap, one sigma.", unit="rad/s", low=0.0
     )
     acceleration_range: float = parameter(
-        0.0,
+        160.0,
         "A channel whose reading is at least this in size is saturated: the uncertainty of the "
-        "unseen motion is added as in a gap, with at least this sigma. 0 if no range is declared.",
+        "unseen motion is added as in a gap, with at least this sigma. 0 for none.",
         unit="m/s^2",
         low=0.0,
     )
     rate_range: float = parameter(
-        0.0, "As acceleration_range, for the angular rate.", unit="rad/s", low=0.0
+        35.0, "As acceleration_range, for the angular rate.", unit="rad/s", low=0.0
     )
     frozen_samples: int = parameter(
         100,
@@ -63,6 +64,106 @@ class ImuParameters:
         low=0,
         high=1_000_000,
     )
+
+
+#: Verdicts on a channel of a sample.
+GOOD, GLITCH, NO_DATA = range(3)
+#: A reading leaves its neighbours by so many sigma of the change between two of them.
+LEAVES = 8.0
+#: Changes that the sigma is taken from: at least, at most, and a change that leaves weighs as one
+#: of the last number, so that a stream that has become noisier is believed after a few samples.
+FEWEST_CHANGES, CHANGES, QUICK = 50, 100, 10
+
+
+@kernel
+def has_no_data(reading: Array) -> bool:
+    """Whether the specific force is exactly zero, which gravity never is."""
+    return reading[0] == 0.0 and reading[1] == 0.0 and reading[2] == 0.0
+
+
+@kernel
+def judge(s: State, c: Constants, sample_ns: int, reading: Array) -> None:
+    """Whether the channels of a sample are believed; once for each sample.
+
+    A reading that leaves those before it is a glitch, unless the next one is nearer to it than to
+    those: then it is believed after all, and the next sample makes up for it.
+
+    Args:
+        s: State at the sample before, or inside the interval of this one.
+        c: Constants of the filter.
+        sample_ns: Stamp of the sample.
+        reading: (6,) f, then w.
+    """
+    channels = s.channels
+    if channels.verdict_ns == sample_ns:
+        return
+    channels.verdict_ns = sample_ns
+    no_data = has_no_data(reading)
+    follows = _follows(s, c, sample_ns)
+    for i in range(6):
+        channels.verdict[i], channels.amends[i] = GOOD, 0.0
+        if no_data:
+            channels.verdict[i] = NO_DATA
+        elif follows and channels.changes >= FEWEST_CHANGES:
+            change, agrees = _change(s, c, reading, i)
+            if change > _limit(s, c, i):
+                channels.verdict[i] = GLITCH
+            elif agrees:
+                channels.amends[i] = channels.left_out[i] / ((sample_ns - channels.imu_ns) * 1e-9)
+        if channels.verdict[i] != GOOD and channels.changes > 0:
+            channels.amends[i] = channels.believed[i] - reading[i]
+
+
+@kernel
+def _follows(s: State, c: Constants, sample_ns: int) -> bool:
+    """Whether a sample has a neighbour before it."""
+    channels = s.channels
+    return channels.changes > 0 and 0 < sample_ns - channels.imu_ns <= c.gap_ns
+
+
+@kernel
+def _limit(s: State, c: Constants, i: int) -> float:
+    """Largest change of a channel that does not leave its neighbours: smaller ones do no harm."""
+    return max(LEAVES * np.sqrt(s.channels.change[i]), c.gap_f if i < 3 else c.gap_w)
+
+
+@kernel
+def _change(s: State, c: Constants, reading: Array, i: int) -> tuple[float, bool]:
+    """Change of a channel, from what is believed or from the glitch before if that is nearer.
+
+    Beyond its range it has nothing to agree with.
+    """
+    channels = s.channels
+    change = abs(reading[i] - channels.believed[i])
+    if channels.left_out[i] != 0.0 and not is_saturated(c, reading, i):
+        again = abs(reading[i] - channels.reading[i])
+        if again < change:
+            return again, True
+    return change, False
+
+
+@kernel
+def _learn(s: State, c: Constants, sample_ns: int, reading: Array) -> None:
+    """How far apart neighbours are, from a sample that is complete."""
+    channels, follows = s.channels, _follows(s, c, sample_ns)
+    if has_no_data(reading):
+        channels.left_out[:] = 0.0
+        return
+    for i in range(6):
+        change, agrees = _change(s, c, reading, i)
+        memory = min(channels.changes, CHANGES)
+        if channels.verdict[i] == GLITCH:
+            seconds = (sample_ns - channels.imu_ns) * 1e-9
+            channels.left_out[i] += (reading[i] - channels.believed[i]) * seconds
+            change, memory = _limit(s, c, i), QUICK
+        else:
+            channels.believed[i], channels.left_out[i] = reading[i], 0.0
+            if follows and agrees:
+                channels.step_ns[i] = sample_ns
+        if follows and not is_saturated(c, reading, i):
+            channels.change[i] += (change**2 - channels.change[i]) / memory
+    if follows or channels.changes == 0:
+        channels.changes += 1
 
 
 @kernel
@@ -103,9 +204,9 @@ def doubt(s: State, w: Workspace, c: Constants, reading: Array, to_ns: int, told
     """Densities, up to a stamp, of the motion that channels do not see; whether there is any.
 
     As in a gap, a constant error of one sigma over a time T makes (sigma T)^2. T starts with the
-    sample that saturates, or with the first of those that are equal: what grew until that was
-    noticed is added at once. An accepted velocity measurement tells velocity and tilt, so for them
-    T starts again with it; it does not tell the heading.
+    sample that saturates or is not believed, or with the first of those that are equal: what grew
+    until that was noticed is added at once. An accepted velocity measurement tells velocity and
+    tilt, so for them T starts again with it; it does not tell the heading.
 
     Args:
         reading: (6,) sample, as the IMU has read it, in its axes: f, then w.
@@ -117,8 +218,8 @@ def doubt(s: State, w: Workspace, c: Constants, reading: Array, to_ns: int, told
     for i in range(6):
         w.unseen[i] = w.unseen_heading[i] = 0.0
         frozen = is_frozen(s, c, reading, i)
-        w.frozen[i] = frozen
-        if not (frozen or is_saturated(c, reading, i)):
+        w.frozen[i] = frozen or (channels.verdict[i] == NO_DATA and channels.changes == 0)
+        if not (frozen or is_saturated(c, reading, i) or channels.verdict[i] != GOOD):
             continue
         sigma = unseen_sigma(c, reading, i)
         any_unseen = True
@@ -155,6 +256,16 @@ def replace_frozen(s: State, w: Workspace, c: Constants) -> None:
 
 
 @kernel
+def make_amends(s: State, w: Workspace, c: Constants) -> None:
+    """Put what is believed in the place of what the channels of the sample have read."""
+    amends = s.channels.amends
+    for i in range(3):
+        for a in range(3):
+            w.f_hat[a] += c.C_b_i[a, i] * amends[i]
+            w.w_hat[a] += c.C_b_i[a, i] * amends[3 + i]
+
+
+@kernel
 def add_unseen(s: State, w: Workspace, c: Constants) -> None:
     """Add the densities of the motion that is not seen to those of the input noise."""
     _add_rotated(w.S_f, c.C_b_i, w.unseen, 0)
@@ -187,13 +298,17 @@ def _add_vertical(Q: Array, C_n_b: Array, C_b_i: Array, variances: Array) -> Non
 def watch(s: State, c: Constants, sample_ns: int, reading: Array) -> None:
     """Remember what the channels read, and which of them are to be believed."""
     channels, counters = s.channels, s.counters
-    saturated, frozen = 0, 0
+    judge(s, c, sample_ns, reading)
+    _learn(s, c, sample_ns, reading)
+    saturated, frozen, glitch = 0, 0, 0
     for i in range(6):
+        if channels.verdict[i] == GLITCH:
+            glitch = 1
         if is_saturated(c, reading, i):
             saturated = 1
         elif is_frozen(s, c, reading, i):
             frozen = 1
-        else:
+        elif channels.verdict[i] == GOOD:
             channels.unseen_ns[i] = NEVER
         if channels.equal[i] > 0 and reading[i] == channels.reading[i]:
             channels.equal[i] += 1
@@ -203,15 +318,19 @@ def watch(s: State, c: Constants, sample_ns: int, reading: Array) -> None:
             channels.reading[i] = reading[i]
     counters.saturated += saturated
     counters.frozen += frozen
+    counters.glitches += glitch
+    counters.no_data += channels.verdict[0] == NO_DATA
 
 
 def in_doubt(s: State) -> bool:
-    """Whether a channel of the IMU is saturated or frozen."""
+    """Whether a channel of the IMU is saturated, frozen or not believed."""
     return bool((s["channels"]["unseen_ns"] != NEVER).any())
 
 
 def seen_rate(s: State, c: Constants, w_ib_b: Array) -> tuple[Array, Array]:
-    """The angular rate without that of frozen channels, and the variance of what is not seen.
+    """The angular rate, and its variance, where channels of the gyroscope are in doubt.
+
+    A frozen one is taken not to turn, one that is not believed to turn as before.
 
     Args:
         s: State.
@@ -225,5 +344,6 @@ def seen_rate(s: State, c: Constants, w_ib_b: Array) -> tuple[Array, Array]:
     unseen = channels["unseen_ns"][3:] != NEVER
     frozen = unseen & (channels["equal"][3:] + 1 >= c["frozen"]) & (c["frozen"] > 0)
     sigma = unseen * [unseen_sigma(c, channels["reading"], i) for i in (3, 4, 5)]
-    w = np.where(frozen, C.T @ s["nav"]["b_w"], C.T @ w_ib_b)
+    w = np.where(channels["verdict"][3:] == GOOD, C.T @ w_ib_b, channels["believed"][3:])
+    w = np.where(frozen, C.T @ s["nav"]["b_w"], w)
     return C @ w, C @ np.diag(sigma**2) @ C.T

@@ -109,6 +109,8 @@ def _advance(
     for i in range(3):
         w.f_hat[i] = f_b[i] - nav.b_f[i]
         w.w_hat[i] = w_ib_b[i] - nav.b_w[i]
+    channels.judge(s, c, sample_ns, reading)
+    channels.make_amends(s, w, c)
     in_doubt = channels.doubt(s, w, c, reading, to_ns, s.channels.told_ns)
     if in_doubt:
         channels.replace_frozen(s, w, c)
@@ -163,7 +165,7 @@ def _set_coning(s: State, w: Workspace, c: Constants, sample_ns: int, in_doubt: 
     w.coning[:] = 0.0
     if in_doubt or channels.equal[3] == 0 or interval_ns > c.gap_ns:
         return
-    rotate(w.w_before, c.C_b_i, channels.reading[3:])
+    rotate(w.w_before, c.C_b_i, channels.believed[3:])
     for i in range(3):
         w.w_before[i] -= s.nav.b_w[i]
     strapdown.coning(w.coning, w.w_before, w.w_hat, interval_ns * 1e-9)

@@ -133,6 +133,18 @@ _CHANNELS = (
     Field("equal", COUNT, (6,)),
     Field("equal_ns", STAMP, (6,)),
     Field("unseen_ns", STAMP, (6,)),  # since when a channel does not show the motion
+    # Mean square of the change between neighbours [reading^2], number of samples that have told it,
+    # the last reading that was believed, stamp and verdicts of the last sample that was judged
+    Field("change", NUMBER, (6,)),
+    Field("changes", COUNT),
+    Field("believed", NUMBER, (6,)),
+    Field("verdict_ns", STAMP),
+    Field("verdict", COUNT, (6,)),
+    # What the last sample is taken to have read more than it did, what a doubted one has left out
+    # [reading s], and when such a one was believed after all
+    Field("amends", NUMBER, (6,)),
+    Field("left_out", NUMBER, (6,)),
+    Field("step_ns", STAMP, (6,)),
 )
 
 _START = (
@@ -157,6 +169,8 @@ _COUNTERS = (
     Field("gaps", COUNT),
     Field("saturated", COUNT),  # samples
     Field("frozen", COUNT),  # samples
+    Field("glitches", COUNT),  # samples
+    Field("no_data", COUNT),  # samples
     Field("q_timeouts", COUNT),
     Field("floors", COUNT),
     Field("ceilings", COUNT),

@@ -38,7 +38,7 @@ from insdvl.timeline.output import (
     outputs_of,
     split,
 )
-from insdvl.timeline.samples import Samples, rate_at
+from insdvl.timeline.samples import Samples
 
 #: So many samples may be on their way to the filter (of one that is starved, in the queues of
 #: sender and receiver) while what was measured with the newest of them is there already.
@@ -359,12 +359,11 @@ class Fold:
 
     def _apply_measurement(self, state: Records, e: int, k: int) -> None:
         entry, samples = self._entries.ordered[e], self._samples
-        rate, share = np.empty(3), np.empty(3)
         event = entry.event
         assert isinstance(event, Measurement)
         times = k, event.stamp_ns, self.filter.turn_window_ns(event)
         variance = self.filter.sample_variance(state)
-        rate_at(samples.stamps_ns, samples.w_ib_b, *times, variance, rate, share)
+        rate, share = samples.turn_rate(state, *times, variance)
         entry.report = self.filter.update(state, event, rate, share)
 
     def _apply_process_noise(self, state: Records, e: int, k: int) -> None:

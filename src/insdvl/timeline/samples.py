@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from insdvl.arrays import Array, Records, Stamps
 from insdvl.kernels import kernel
+from insdvl.navigation.channels import GOOD
 from insdvl.navigation.events import Imu
 from insdvl.navigation.geometry.rotation import rotate
 
@@ -18,6 +19,7 @@ TURN_ACCELERATION = 0.1
 def rate_at(
     stamps_ns: Stamps,
     w_ib_b: Array,
+    seen: NDArray[np.bool_],
     k: int,
     at_ns: int,
     window_ns: int,
@@ -39,6 +41,7 @@ def rate_at(
     Args:
         stamps_ns: (N,) ends of the samples' intervals.
         w_ib_b: (N, 3) samples.
+        seen: (N,) whether a sample is believed; others are left out.
         k: Index of the sample whose interval holds the stamp.
         at_ns: The stamp.
         window_ns: Length of the window; with 0, or with one sample in it, the rate is sample k.
@@ -48,25 +51,30 @@ def rate_at(
             slope that is missed, (sum of c t)^2 sigma^2 / q.
     """
     start_ns = at_ns - window_ns
-    first = k + 1
+    first, count = k + 1, 0
     s_0, s_1, s_2 = 0.0, 0.0, 0.0
     while first > 1 and stamps_ns[first - 1] > start_ns:
         first -= 1
+        if not seen[first]:
+            continue
+        count += 1
         g, t = _share_and_time(stamps_ns, first, start_ns, at_ns)
         s_0 += g
         s_1 += g * t
         s_2 += g * t * t
-    if k - first < 1 or s_0 == 0.0:
+    if count < 2 or s_0 == 0.0:
         rate[:] = w_ib_b[k]
         share[:] = 1.0
         return
-    of_sample = s_0 / (k - first + 1)
+    of_sample = s_0 / count
     for i in range(3):
         prior = of_sample * variance[i] / TURN_ACCELERATION**2
         s_2i = s_2 + prior
         determinant = s_0 * s_2i - s_1 * s_1
         rate[i], share[i] = 0.0, of_sample * prior * (s_1 / determinant) ** 2
         for j in range(first, k + 1):
+            if not seen[j]:
+                continue
             g, t = _share_and_time(stamps_ns, j, start_ns, at_ns)
             c = g * (s_2i - s_1 * t) / determinant
             rate[i] += c * w_ib_b[j, i]
@@ -126,6 +134,27 @@ class Samples:
     def index_of(self, stamp_ns: int) -> int:
         """Index of the first sample that is not before a stamp."""
         return int(np.searchsorted(self.stamps_ns[: self.count], stamp_ns))
+
+    def turn_rate(
+        self, state: Records, k: int, at_ns: int, window_ns: int, variance: Array
+    ) -> tuple[Array, Array]:
+        """Angular rate (3,) at a stamp, base_link axes, and share (3,) of its error, see `rate_at`.
+
+        Args:
+            state: (1,) record at the stamp.
+            k: Index of the sample whose interval holds the stamp.
+            at_ns: The stamp.
+            window_ns: Length of the window that ends there.
+            variance: (3,) of one sample [(rad/s)^2].
+        """
+        part = slice(max(self.index_of(at_ns - window_ns) - 1, 0), k + 1)
+        verdicts = self.states["channels"]["verdict"][part, 3:].copy()
+        verdicts[-1] = state[0]["channels"]["verdict"][3:]
+        seen = (verdicts == GOOD).all(axis=1)
+        rate, share = np.empty(3), np.empty(3)
+        at = k - part.start, at_ns, window_ns
+        rate_at(self.stamps_ns[part], self.w_ib_b[part], seen, *at, variance, rate, share)
+        return rate, share
 
     def outdate(self, k: int) -> None:
         """The states from sample k on are not valid any more."""

@@ -769,6 +769,23 @@ def test_a_ping_in_a_gap_cuts_it_and_it_is_still_one_gap() -> None:
 # ------------------------------------------------------------------ turn rate
 
 
+def seen(stamps: np.ndarray) -> np.ndarray:
+    return np.ones(len(stamps), dtype=bool)
+
+
+def test_a_sample_that_is_not_believed_is_not_in_the_line() -> None:
+    stamps = np.arange(6, dtype=np.int64) * STEP
+    w = 0.1 * np.arange(18.0).reshape(6, 3)
+    spoilt, believed = w.copy(), seen(stamps)
+    spoilt[3], believed[3] = 100.0, False
+    found, expected, share = np.empty(3), np.empty(3), np.empty(3)
+    for array, result in ((w, expected), (spoilt, found)):
+        at = 5, int(stamps[-1]), 5 * STEP
+        rate_at(stamps, array, believed, *at, np.zeros(3), result, share)
+    np.testing.assert_array_equal(found, expected)
+    np.testing.assert_allclose(found, w[5] + (w[5] - w[4]) / 2, rtol=1e-12)
+
+
 def test_the_turn_rate_is_that_of_a_line_at_the_stamp() -> None:
     """A rate that changes linearly is met exactly; each sample is its mean over its interval."""
     stamps = np.array([0, 10, 20, 40, 50], dtype=np.int64) * 1_000_000
@@ -777,7 +794,7 @@ def test_the_turn_rate_is_that_of_a_line_at_the_stamp() -> None:
     for stamp_ns in (42_000_000, 45_000_000, 50_000_000):
         w = at + (middles[:, None] - 1e-9 * stamp_ns) * slope
         found, share = np.empty(3), np.empty(3)
-        rate_at(stamps, w, 4, stamp_ns, 30_000_000, np.zeros(3), found, share)
+        rate_at(stamps, w, seen(stamps), 4, stamp_ns, 30_000_000, np.zeros(3), found, share)
         assert ((share > 1.0) & (share < 5.0)).all()
         np.testing.assert_allclose(found, at, rtol=1e-12)
 
@@ -787,7 +804,7 @@ def test_the_line_weights_each_sample_by_its_share_of_the_window() -> None:
     w = np.random.default_rng(SEED).standard_normal((5, 3))
     found, share = np.empty(3), np.empty(3)
     # (15, 45]: half of sample 2, all of sample 3, half of sample 4.
-    rate_at(stamps, w, 4, 45, 30, np.zeros(3), found, share)
+    rate_at(stamps, w, seen(stamps), 4, 45, 30, np.zeros(3), found, share)
     line = np.polyfit([15 - 45, 30 - 45, 45 - 45], w[2:5], 1, w=np.sqrt([5, 20, 5]))
     np.testing.assert_allclose(found, line[1], rtol=1e-12)
     units = np.polyfit([15 - 45, 30 - 45, 45 - 45], np.eye(3), 1, w=np.sqrt([5, 20, 5]))[1]
@@ -808,7 +825,9 @@ def test_the_variance_of_the_turn_rate_is_that_of_its_error(
     for _ in range(20_000):
         w = np.sqrt(q) * rng.standard_normal((26, 3))
         w += np.outer(middles, TURN_ACCELERATION * rng.standard_normal(3))
-        rate_at(stamps, w, 25, int(stamps[-1]), 25 * STEP, np.full(3, q), found, share)
+        rate_at(
+            stamps, w, seen(stamps), 25, int(stamps[-1]), 25 * STEP, np.full(3, q), found, share
+        )
         errors.append(found.copy())
     np.testing.assert_allclose(np.mean(np.square(errors), axis=0), q * share, rtol=0.05)
     assert ((share > least / 25) & (share < most / 25)).all()
@@ -819,7 +838,7 @@ def test_one_sample_in_the_window_is_the_turn_rate() -> None:
     w, found, share = np.arange(15.0).reshape(5, 3), np.empty(3), np.empty(3)
     # Before the second sample nothing is known of an interval's length.
     for k, stamp, window in ((3, 40, 20), (2, 15, 0), (0, 0, 30), (1, 10, 30)):
-        rate_at(stamps, w, k, stamp, window, np.ones(3), found, share)
+        rate_at(stamps, w, seen(stamps), k, stamp, window, np.ones(3), found, share)
         np.testing.assert_array_equal(share, 1.0)
         np.testing.assert_array_equal(found, w[k])
 
