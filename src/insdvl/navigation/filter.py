@@ -20,7 +20,7 @@ from insdvl.navigation.geometry.rotation import rotate
 from insdvl.navigation.kalman import Innovated
 from insdvl.navigation.measurements.base import SensorModel, Turn, Vehicle
 from insdvl.navigation.parameters import SENSORS, FilterParameters
-from insdvl.navigation.process_noise import source_of
+from insdvl.navigation.process_noise import shown, source_of
 from insdvl.navigation.start.initial_state import Start, locate, sample_variance_w
 from insdvl.navigation.state import (
     CORE,
@@ -263,7 +263,7 @@ class Filter:
         self._gates: dict[str, Gate] = {}
         for name, sensor in parameters.sensors.items():
             self.models[name] = sensor.model(self.vehicle)
-            self._gates[name] = Gate(parameters.gate, name, self.models[name], c)
+            self._gates[name] = Gate(parameters.gate, name, self.models[name], self.vehicle)
 
     def _fill_constants(self) -> None:
         parameters, vehicle, c = self.parameters, self.vehicle, self.constants[0]
@@ -309,6 +309,7 @@ class Filter:
     def _trust_nothing(self, s: State) -> None:
         """No measurement has borne the new state out yet, and nothing was learned from any."""
         self.process_noise.restart(s)
+        shown.restart(s)
         for gate in self._gates.values():
             gate.start(s)
 
@@ -392,7 +393,7 @@ class Filter:
         s, model, gate = state[0], self.models[event.name], self._gates[event.name]
         memory, stamp_ns = s["gate"][event.name], event.stamp_ns
         repeats = self._repeats(memory, model.reading(event))
-        reason = model.refusal(event, repeats, contradicted=bool(memory["rejections"]))
+        reason = model.refusal(event, repeats, contradicted=memory["rejected_from_ns"] != NEVER)
         if not s["nav"]["initialised"]:
             reason = "not_initialised"
         if reason:
@@ -400,6 +401,7 @@ class Filter:
             return UpdateReport(event.name, nan[0], nan, np.nan, False, reason)
         turn = self._turn(s, w_ib_b, share)
         linearised = model.linearise(state, event, turn)
+        shown.advance(s, self.vehicle, stamp_ns)
         R = gate.doubted(s, stamp_ns, linearised.R)
         now = kalman.innovate(s["nav"]["P"], linearised.z_minus_h, linearised.H, R)
         if not np.isfinite(now.nis):
@@ -421,7 +423,7 @@ class Filter:
         return repeats
 
     def _correct(self, state: Records, event: Measurement, turn: Turn, now: Innovated) -> None:
-        s, model, stamp_ns, nis = state[0], self.models[event.name], event.stamp_ns, now.nis
+        s, model, stamp_ns = state[0], self.models[event.name], event.stamp_ns
         if model.tells_velocity:
             now = self.process_noise.before_correction(s, now)
         K, left = kalman.correct(
@@ -433,7 +435,8 @@ class Filter:
         )
         if self.vehicle.invariant and now.H[:, HORIZONTAL_POSITION].any():
             coordinates.move_reference(s)
-        self._gates[event.name].accept(s, stamp_ns, nis, left)
+        shown.corrected(s, K, now.H)
+        self._gates[event.name].accept(s, stamp_ns, left)
         if model.tells_velocity:
             judged_ns = s["gate"][event.name]["judged_ns"]
             seconds = (stamp_ns - int(judged_ns)) / NS if judged_ns != NEVER else np.nan

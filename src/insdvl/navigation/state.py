@@ -91,6 +91,9 @@ def _noise(n: int) -> tuple[Field, ...]:
         Field("root", NUMBER, (n, 3)),
         Field("innovations", NUMBER, (MAX_WINDOW, 3)),
         Field("innovation_count", COUNT),
+        # Covariance of the errors by noise that is not told, of all but the position, and its stamp
+        Field("excess", COVARIANCE, (12, 12)),
+        Field("excess_ns", STAMP),
     )
 
 
@@ -102,24 +105,20 @@ _GATE = (
     Field("reading", UNKNOWN, (MAX_ROWS,)),
     Field("repeats", COUNT),  # how many before it were equal to it, in a row
     Field("left", NUMBER, (MAX_ROWS,)),  # innovation that the last accepted one left
-    Field("nis", NUMBER),  # running mean over those accepted
-    # For how long the sensor has borne the filter out [ns], rejections in a row, for how long they
-    # may go on [ns], stamp, innovation and NIS of the first, stamp and innovation of the last, and
-    # stamp of the last whose innovation had wandered
+    # For how long the sensor has borne the filter out [ns]; since when all are rejected, the first
+    # innovation, and for how long that may go on [ns]; when the filter gave in to the sensor
     Field("trusted_for", COUNT),
-    Field("rejections", COUNT),
-    Field("patient_for", COUNT),
     Field("rejected_from_ns", STAMP),
     Field("first", NUMBER, (MAX_ROWS,)),
-    Field("first_nis", NUMBER),
-    Field("rejected_ns", STAMP),
-    Field("rejected", NUMBER, (MAX_ROWS,)),
-    Field("wandered_ns", STAMP),
+    Field("patient_for", COUNT),
+    Field("steps", COUNT),  # whether the first of them was a step that the IMU has not seen
+    Field("gave_in_ns", STAMP),
+    Field("claim", NUMBER, (MAX_ROWS,)),  # innovation that it gave in to
     # Innovation and stamp of the last that was surely a fault of the sensor
     Field("fault", NUMBER, (MAX_ROWS,)),
     Field("fault_ns", STAMP),
-    # The error that the sensor may have, one sigma, and until when
-    Field("doubt", NUMBER, (MAX_ROWS,)),
+    # The error that the sensor may have, one sigma in each row, and until when
+    Field("doubt", NUMBER),
     Field("doubt_until_ns", STAMP),
 )
 

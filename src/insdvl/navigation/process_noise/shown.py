@@ -1,0 +1,98 @@
+"""Process noise that the IMU itself shows, beyond what the filter is told.
+
+Neighbouring samples of white noise differ by twice its variance (channels.py). Where that is more
+than the filter is told, its P is too small, and a right measurement would look like a fault. The
+verdict on a measurement therefore takes the covariance of the error that the untold noise makes,
+with the gains that the filter really has. P itself stays as the filter is told.
+
+Derivation: docs/explanation/filter.md.
+"""
+
+import numpy as np
+
+from insdvl.arrays import Array
+from insdvl.navigation.error_state import (
+    ACCELEROMETER_BIAS,
+    ATTITUDE,
+    GYROSCOPE_BIAS,
+    VELOCITY,
+)
+from insdvl.navigation.events import NS
+from insdvl.navigation.geometry.rotation import cross_matrix
+from insdvl.navigation.measurements.base import Vehicle
+from insdvl.navigation.state import NEVER, State
+
+#: The mean of the last changes is known to 15 %: what is shown counts from so much of the told on.
+CLEARLY_MORE = 1.5
+#: The error states that the untold noise reaches: it drives velocity and attitude, and with wrong
+#: gains also the estimates of the biases.
+REACHED = slice(VELOCITY.start, GYROSCOPE_BIAS.stop)
+
+
+def untold(s: State, vehicle: Vehicle) -> Array:
+    """Densities (6,) of the noise of the samples that is not told, in IMU axes, f then w."""
+    c, C = vehicle.constants[0], vehicle.C_b_i
+    shown = s["channels"]["change"] / (2.0 * c["rate"])
+    told = c["density"] * np.concatenate(
+        [np.diag(C.T @ s["noise"][name] @ C) for name in ("Q_f", "Q_w")]
+    )
+    return np.where(shown > CLEARLY_MORE * told, shown - told, 0.0)
+
+
+def advance(s: State, vehicle: Vehicle, stamp_ns: int) -> None:
+    """Add to ``noise.excess`` what the untold noise has made since it was last advanced.
+
+    With the noise n_w of the gyroscopes dv' = [v x] n_w + [g x] psi and psi' = n_w; with that of
+    the accelerometers dv' = n_f. For `ned` without [v x].
+    """
+    noise, nav = s["noise"], s["nav"]
+    since_ns, noise["excess_ns"] = int(noise["excess_ns"]), stamp_ns
+    if since_ns == NEVER or stamp_ns <= since_ns:
+        return
+    seconds = (stamp_ns - since_ns) / NS
+    density = untold(s, vehicle)
+    if not (density.any() or noise["excess"].any()):
+        return
+    C_n_i = nav["C_n_b"] @ vehicle.C_b_i
+    S_f, S_w = (C_n_i * density[part] @ C_n_i.T for part in (slice(0, 3), slice(3, 6)))
+    g_x = cross_matrix(vehicle.workspace[0]["g_n"])
+    M = cross_matrix(nav["v_n"]) if vehicle.invariant else np.zeros((3, 3))
+    Phi, Q, C = np.eye(12), np.zeros((12, 12)), nav["C_n_b"]
+    Phi[VELOCITY, ATTITUDE] = g_x * seconds
+    Phi[VELOCITY, ACCELEROMETER_BIAS] = -C * seconds
+    Phi[VELOCITY, GYROSCOPE_BIAS] = -(M * seconds + g_x * seconds**2 / 2.0) @ C
+    Phi[ATTITUDE, GYROSCOPE_BIAS] = -C * seconds
+    cross = M @ S_w @ g_x.T
+    Q[VELOCITY, VELOCITY] = (S_f + M @ S_w @ M.T) * seconds + (cross + cross.T) * seconds**2 / 2.0
+    Q[VELOCITY, VELOCITY] += g_x @ S_w @ g_x.T * seconds**3 / 3.0
+    Q[VELOCITY, ATTITUDE] = M @ S_w * seconds + g_x @ S_w * seconds**2 / 2.0
+    Q[ATTITUDE, VELOCITY] = Q[VELOCITY, ATTITUDE].T
+    Q[ATTITUDE, ATTITUDE] = S_w * seconds
+    noise["excess"] = Phi @ noise["excess"] @ Phi.T + Q
+
+
+def drift(s: State, vehicle: Vehicle, seconds: float) -> Array:
+    """Covariance (3, 3) of what the untold noise adds to a drift of the velocity, NED."""
+    density, C_n_i = untold(s, vehicle), s["nav"]["C_n_b"] @ vehicle.C_b_i
+    S_f, S_w = (C_n_i * density[part] @ C_n_i.T for part in (slice(0, 3), slice(3, 6)))
+    g_x = cross_matrix(vehicle.workspace[0]["g_n"])
+    tilt = s["noise"]["excess"][ATTITUDE, ATTITUDE] * seconds**2 + S_w * seconds**3 / 3.0
+    return S_f * seconds + g_x @ tilt @ g_x.T
+
+
+def corrected(s: State, K: Array, H: Array) -> None:
+    """A measurement has corrected the state with the gain K (n, m) and the Jacobian H (m, n)."""
+    B = np.eye(12) - K[REACHED] @ H[:, REACHED]
+    s["noise"]["excess"] = B @ s["noise"]["excess"] @ B.T
+
+
+def restart(s: State) -> None:
+    """The state is a new one."""
+    s["noise"]["excess"], s["noise"]["excess_ns"] = 0.0, s["nav"]["time_ns"]
+
+
+def covariance(s: State, n: int) -> Array:
+    """Covariance (n, n) of the error state, with that of the untold noise."""
+    P = s["nav"]["P"][:n, :n].copy()
+    P[REACHED, REACHED] += s["noise"]["excess"]
+    return P
