@@ -156,6 +156,10 @@ class Gate:
                 g["claim"][:m] = first
             return now, True, ""
         if not goes_on and self._is_mild(s, stamp_ns, fair):
+            if fair.nis > FAULT * self._limit:
+                self._model.inflate(s, now.innovation, (stamp_ns - int(g["accepted_ns"])) / NS)
+                s["counters"]["inflations"] += 1
+                return kalman.innovate(s["nav"]["P"], now.innovation, now.H, now.R), True, ""
             R = now.R + (fair.nis / self._limit - 1.0) * fair.S
             return kalman.innovate(s["nav"]["P"], now.innovation, now.H, R), True, ""
         if goes_on or fair.nis > FAULT * self._limit:
