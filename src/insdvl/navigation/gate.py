@@ -74,13 +74,14 @@ class Gate:
         self._name = name
         self._model = model
         self._constants = constants
-        m = model.rows
-        self._limit = (
+        #: By the number of rows that were measured.
+        self._limits = [
             2.0 * float(gammaincinv(m / 2.0, parameters.probability))
             if parameters.enabled
             else np.inf
-        )
-        self._nis_limit = _nis_limit(m)
+            for m in range(model.rows + 1)
+        ]
+        self._nis_limit = _nis_limit(model.rows)
         self._patience_ns = round(parameters.max_rejection_time * NS)
 
     def start(self, s: State) -> None:
@@ -112,7 +113,7 @@ class Gate:
             The same, with the error that it may have in R; whether it is used; and the reason:
             empty, ``gate``, or ``restarted`` where the state was set from it.
         """
-        g, m = self._memory(s), self._model.rows
+        g, m, limit = self._memory(s), self._model.rows, self._limits[now.rows]
         goes_on = False
         probability = self._fault_probability(s, stamp_ns, now)
         if probability > 0.0:
@@ -125,9 +126,9 @@ class Gate:
                 if probability > 0.5:
                     g["doubt"][:m] = error
                     g["doubt_until_ns"] = g["rejected_from_ns"] + g["patient_for"]
-        if not goes_on and not now.nis > self._limit:
+        if not goes_on and not now.nis > limit:
             return now, True, ""
-        if goes_on or now.nis > FAULT * self._limit:
+        if goes_on or now.nis > FAULT * limit:
             g["fault"][:m], g["fault_ns"] = now.innovation, stamp_ns
         return now, *self._recover(s, stamp_ns, now)
 
@@ -137,7 +138,7 @@ class Gate:
         Args:
             s: State, corrected.
             stamp_ns: Of the measurement.
-            nis: Its normalised innovation squared.
+            nis: Its normalised innovation squared, scaled to all rows where some were not measured.
             left: (m,) innovation that the correction left.
         """
         g = self._memory(s)
@@ -202,7 +203,7 @@ class Gate:
         # Whether there was a step during an outage or a gap is unknown.
         seen = interval_ns <= LEAST_PATIENCE_NS and not self._has_gap(s)
         step = now.innovation - g["left"][: self._model.rows]
-        if seen and self._step_nis(s, step, interval_ns, now.R) > self._limit:
+        if seen and self._step_nis(s, step, interval_ns, now.R) > self._limits[now.rows]:
             return int(g["trusted_for"])
         return min(LEAST_PATIENCE_NS, int(g["trusted_for"]))
 
@@ -229,9 +230,10 @@ class Gate:
         drift = innovation - g["first"][:m]
         since_ns = stamp_ns - int(g["rejected_from_ns"])
         surprise = self._step_nis(s, drift, since_ns, now.R) - len(drift)
-        drifts = g["first_nis"] < self._limit + surprise
+        limit = self._limits[now.rows]
+        drifts = g["first_nis"] < limit + surprise
         step_ns = stamp_ns - int(g["rejected_ns"])
-        if not drifts and self._step_nis(s, step, step_ns, now.R) < self._limit:
+        if not drifts and self._step_nis(s, step, step_ns, now.R) < limit:
             return False
         again = g["wandered_ns"] != NEVER and stamp_ns - g["wandered_ns"] <= LEAST_PATIENCE_NS
         g["wandered_ns"] = stamp_ns
