@@ -17,8 +17,8 @@ from insdvl.navigation.state import State
 
 #: A repetition that chance makes less often than this is none by chance.
 LEAST_CHANCE = 1e-3
-#: Steps in which sensors report, SI; what is finer counts as the last.
-RESOLUTIONS = (1.0, 0.1, 0.01, 1e-3, 1e-4, 1e-5, 1e-6)
+#: Steps in which DVLs report [m/s]; what is finer counts as the last.
+RESOLUTIONS = (0.01, 1e-3, 1e-4, 1e-5, 1e-6)
 #: From one reading to the next, so many that their scatter tells the noise.
 _STEPS = 3
 #: Rounding to single precision, relative; twice of it, for a scale that was applied there too.
