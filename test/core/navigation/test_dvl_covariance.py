@@ -1,15 +1,18 @@
 """Whose noise a DVL measurement has, and components that it did not measure."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from records import P15
 from scipy.stats import chi2, poisson
 
+from insdvl.messages.make import fill_innovation
 from insdvl.navigation import kalman
 from insdvl.navigation.error_state import ATTITUDE, VELOCITY
 from insdvl.navigation.filter import Filter
+from insdvl.navigation.geometry.frames import ENU
 from insdvl.navigation.measurements.base import Turn
 from insdvl.navigation.measurements.dvl import Dvl, DvlModel
 from insdvl.navigation.parameters import (
@@ -190,6 +193,20 @@ def test_an_axis_that_is_never_measured_is_covered() -> None:
         float(C[:, 1] @ P15(r.states[-1])[VELOCITY, VELOCITY] @ C[:, 1]) for r in (result, full)
     ]
     assert of_y[0] > 100.0 * of_y[1]
+
+
+def test_an_innovation_is_published_without_nan() -> None:
+    """In the axes of the stream; what was not measured has an infinite variance."""
+    model = Filter(replace(parameters(), frame_convention="enu")).models["dvl"]
+    S = np.array([[4.0, 0.0, 1.0], [0.0, np.inf, 0.0], [1.0, 0.0, 9.0]])
+    innovation, S_stream = model.in_stream(np.array([1.0, 0.0, 2.0]), S)
+    np.testing.assert_array_equal(innovation, [1.0, 0.0, -2.0])
+    np.testing.assert_array_equal(S_stream, [[4, 0, -1], [0, np.inf, 0], [-1, 0, 9]])
+    of = SimpleNamespace
+    twist = of(linear=of(), angular=of())
+    message = of(header=of(stamp=of()), twist=of(twist=twist))
+    fill_innovation(message, 0, np.array([1.0, 0.0, 2.0]), S, ENU)
+    np.testing.assert_array_equal(message.twist.covariance.reshape(6, 6)[:3, :3], S_stream)
 
 
 def test_a_restart_leaves_what_was_not_measured_as_it_is() -> None:
