@@ -195,6 +195,24 @@ def test_an_axis_that_is_never_measured_is_covered() -> None:
     assert of_y[0] > 100.0 * of_y[1]
 
 
+def test_components_that_come_and_go_are_used() -> None:
+    """Each is measured with a probability of 0.6; the NIS has as many degrees of freedom."""
+    m, rng = mission(120.0), np.random.default_rng(SEED)
+    pings = []
+    for ping in pings_of(m):
+        x, y, z = (rng.random(3) < 0.6).tolist()
+        if x or y or z:
+            pings.append(replace(ping, v_d=ping.v_d * (x, y, z), measured=(x, y, z)))
+    result = fly(parameters(), m, pings)
+    reports = [u.report for u in result.updates]
+    assert sum(not r.accepted for r in reports) <= poisson.ppf(0.9999, 0.001 * len(reports))
+    rows = [r.rows for r in reports]
+    assert set(rows) == {1, 2, 3}
+    # Chi-square of all of them, and a filter that is not quite white.
+    assert np.sum([r.nis for r in reports]) == pytest.approx(np.sum(rows), rel=0.2)
+    assert (np.abs(errors_in_sigma(result, m)) < 3.0).mean(axis=0).min() > 0.9
+
+
 def test_an_innovation_is_published_without_nan() -> None:
     """In the axes of the stream; what was not measured has an infinite variance."""
     model = Filter(replace(parameters(), frame_convention="enu")).models["dvl"]
