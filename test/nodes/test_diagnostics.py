@@ -83,10 +83,11 @@ class Filter:
         )
         return {status.cause: status for status in self.watch.causes(self.view)}
 
-    def dvl(self, stamp_ns: int, speed: float = 0.0) -> None:
+    def dvl(self, stamp_ns: int, speed: float = 0.0, **of: Any) -> None:
         """A measurement, of which no two are the same."""
         self.pings += 1
-        assert self.fold.add(Dvl(stamp_ns, np.array([speed, 0.0, 1e-4 * self.pings]))) is None
+        v_d = np.array([speed, 0.0, 1e-4 * self.pings])
+        assert self.fold.add(Dvl(stamp_ns, v_d, **of)) is None
 
 
 def wrong(statuses: dict[str, Status]) -> dict[str, bytes]:
@@ -174,6 +175,7 @@ REFUSALS = [
     ("dvl/velocity", "wrong_frame", "frames"),
     ("dvl", "no_lock", "dvl"),
     ("dvl", "repeated", "dvl"),
+    ("dvl", "too_fast", "dvl"),
     ("process_noise", "bad_covariance", "process noise"),
     ("process_noise", "too_late", "time"),
     ("set_odometry", "bad_quaternion", "initialisation"),
@@ -209,15 +211,40 @@ def test_one_rejection_by_the_gate_is_chance_and_two_are_told() -> None:
     f = Filter()
     f.dvl(START_NS + NS // 20)
     f.dvl(START_NS + NS)
-    f.dvl(START_NS + NS + NS // 10, 50.0)
+    f.dvl(START_NS + NS + NS // 10, 9.0)
     f.samples(1, 121)
     assert wrong(f.look()) == {}
-    f.dvl(START_NS + NS + NS // 5, 50.0)
+    f.dvl(START_NS + NS + NS // 5, 9.0)
     f.samples(121, 122)
     statuses = f.look()
     assert wrong(statuses) == {"dvl": WARN}
     assert "2 gate" in statuses["dvl"].message
     assert statuses["dvl"].values["DVL updates rejected"] == 2
+
+
+def test_a_dvl_in_another_unit_is_told() -> None:
+    f = Filter()
+    f.samples(1, 21)
+    for k in range(1, 10):
+        f.dvl(START_NS + NS // 5 + k * NS // 100, 100.0)
+    f.samples(21, 41)
+    statuses = f.look()
+    assert wrong(statuses) == {"dvl": WARN}
+    message = statuses["dvl"].message
+    assert "9 too_fast" in message
+    assert "cm/s or mm/s" in message and "dvl.max_speed is too small" in message
+
+
+def test_what_a_dvl_did_not_measure_is_counted() -> None:
+    f = Filter()
+    f.samples(1, 21)
+    f.dvl(START_NS + NS // 20)
+    f.dvl(START_NS + NS // 10, measured=(True, False, True))
+    f.samples(21, 31)
+    status = f.look()["dvl"]
+    assert status.level == OK
+    assert status.values["DVL updates without y"] == 1
+    assert "DVL updates without x" not in status.values
 
 
 def test_a_dvl_outage_is_told_with_its_length_and_sigma_and_ends() -> None:
@@ -238,7 +265,7 @@ def test_a_dvl_outage_is_told_with_its_length_and_sigma_and_ends() -> None:
     assert "no DVL measurement used for 7 s: none is received" in message
     sigma = float(message.rsplit("sigma is ")[1].split()[0])
     assert sigma == pytest.approx(np.sqrt(f.fold.latest["nav"]["P"][0, 0]), rel=0.1)  # type: ignore[index]
-    f.dvl(at(122), 500.0)  # not used: the outage goes on
+    f.dvl(at(122), 9.0)  # not used: the outage goes on
     f.samples(123, 124, NS // 10)
     assert wrong(f.look()) == {"dvl": WARN}
     f.samples(124, 700, NS // 10)

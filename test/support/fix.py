@@ -10,7 +10,13 @@ from insdvl.navigation import coordinates
 from insdvl.navigation.error_state import ATTITUDE, POSITION
 from insdvl.navigation.events import MAX_DISTANCE, Limits, Measurement
 from insdvl.navigation.geometry.earth import displacements
-from insdvl.navigation.measurements.base import Linearised, SensorModel, SensorParameters, Vehicle
+from insdvl.navigation.measurements.base import (
+    Linearised,
+    Past,
+    SensorModel,
+    SensorParameters,
+    Vehicle,
+)
 from insdvl.navigation.measurements.depth import Depth
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.state import State
@@ -56,7 +62,7 @@ class FixModel(SensorModel[Fix]):
     def reading(self, event: Fix) -> Array:
         return event.p_o
 
-    def refusal(self, event: Fix, repeats: int, *, contradicted: bool) -> str:
+    def refusal(self, event: Fix, past: Past) -> str:
         return ""
 
     def linearise(self, state: Records, event: Fix, turn: object) -> Linearised:

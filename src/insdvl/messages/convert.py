@@ -5,7 +5,8 @@ recording. Nodes and `insdvl replay` use the same functions, so both get the sam
 
 Covariances follow REP-145: a first element of -1 means that the quantity is not measured, zeros
 mean that the covariance is unknown. A single zero on the diagonal means that this variance is
-unknown, since nothing is known perfectly; see `completed`.
+unknown, since nothing is known perfectly; see `completed`. The velocity of a DVL has rules of its
+own, see `velocity_covariance`.
 """
 
 import math
@@ -27,6 +28,11 @@ FIX = "sensor_msgs/msg/NavSatFix"
 TWIST = "geometry_msgs/msg/TwistStamped"
 TWIST_WITH_COVARIANCE = "geometry_msgs/msg/TwistWithCovarianceStamped"
 ODOMETRY = "nav_msgs/msg/Odometry"
+
+
+#: Asymmetry and negative eigenvalues of a covariance, relative to its largest element, that come
+#: from rounding to single precision.
+ROUNDING = 1e-6
 
 
 class RejectedMessage(ValueError):
@@ -65,16 +71,16 @@ def sensor_stamp_ns(header: Any) -> int:
     return stamp
 
 
-def vector(field: Any, name: str) -> Array:
-    """A Vector3 or Point as (3,).
+def vector(field: Any, name: str, measured: Sequence[bool] = (True, True, True)) -> Array:
+    """A Vector3 or Point as (3,), with 0 for what was not measured.
 
     Raises:
         RejectedMessage: ``not_finite``.
     """
-    x, y, z = float(field.x), float(field.y), float(field.z)
-    if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
-        raise RejectedMessage("not_finite", f"{name} is {[x, y, z]}")
-    return np.array([x, y, z])
+    numbers = [float(field.x), float(field.y), float(field.z)]
+    if not all(math.isfinite(x) for x, known in zip(numbers, measured, strict=True) if known):
+        raise RejectedMessage("not_finite", f"{name} is {numbers}")
+    return np.array([x if known else 0.0 for x, known in zip(numbers, measured, strict=True)])
 
 
 def square(field: Any, size: int, name: str) -> Array:
@@ -92,6 +98,9 @@ def square(field: Any, size: int, name: str) -> Array:
 def covariance(field: Any, size: int, name: str) -> Array | None:
     """A row-major covariance field as (size, size); None where it is unknown (zeros).
 
+    What rounding to single precision does is mended: it is made symmetric, and a slightly negative
+    eigenvalue zero.
+
     Raises:
         RejectedMessage: ``no_data`` (first element -1), ``bad_covariance`` (wrong size, not finite,
             not symmetric, or not positive semidefinite).
@@ -106,12 +115,44 @@ def covariance(field: Any, size: int, name: str) -> Array | None:
     scale = np.abs(matrix).max()
     if scale > MAX_VARIANCE:
         raise RejectedMessage("bad_covariance", f"{name} has an element of size {scale:g}")
-    if np.abs(matrix - matrix.T).max() > 1e-9 * scale:
+    if np.abs(matrix - matrix.T).max() > ROUNDING * scale:
         raise RejectedMessage("bad_covariance", f"{name} is not symmetric: {matrix.tolist()}")
     matrix = (matrix + matrix.T) / 2
-    if np.linalg.eigvalsh(matrix)[0] < -1e-9 * scale:
+    smallest = np.linalg.eigvalsh(matrix)[0]
+    if smallest < -ROUNDING * scale:
         raise RejectedMessage("bad_covariance", f"{name} has a negative eigenvalue")
-    return matrix
+    return matrix if smallest >= -1e-9 * scale else _without_negative(matrix)
+
+
+def _without_negative(matrix: Array) -> Array:
+    """The nearest positive semidefinite matrix (n, n)."""
+    values, vectors = np.linalg.eigh(matrix)
+    nearest = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return (nearest + nearest.T) / 2
+
+
+def velocity_covariance(field: Any, name: str) -> tuple[Array | None, tuple[bool, bool, bool]]:
+    """Covariance (3, 3) of a twist's linear velocity, and which components were measured.
+
+    Drivers of DVLs write -1 for a variance that they do not know: it becomes zero, as all of its
+    correlations. An infinite variance means that the component was not measured: it becomes zero
+    too.
+
+    Args:
+        field: Row-major covariance of the twist, 36 numbers.
+        name: Of the field.
+
+    Raises:
+        RejectedMessage: ``no_data`` (no component was measured), ``bad_covariance``.
+    """
+    matrix = square(field, 6, name)[:3, :3]
+    variances = np.diagonal(matrix)
+    measured = variances != np.inf
+    if not measured.any():
+        raise RejectedMessage("no_data", f"all variances of {name} are infinite")
+    told = measured & (variances != -1.0)
+    x, y, z = measured.tolist()
+    return covariance(np.where(told[:, None] & told, matrix, 0.0), 3, name), (x, y, z)
 
 
 def completed(P: Array | None, sigmas: Sequence[float]) -> Array | None:
@@ -176,17 +217,17 @@ def dvl(message: Any, convention: Convention) -> Dvl:
         RejectedMessage: ``bad_stamp``, ``no_stamp``, ``not_finite``, ``no_data`` or
             ``bad_covariance``.
     """
-    twist, R = message.twist, None
+    twist, R, measured = message.twist, None, (True, True, True)
     if hasattr(twist, "covariance"):
-        name = "twist.covariance"
-        R = covariance(square(twist.covariance, 6, name)[:3, :3], 3, name)
+        R, measured = velocity_covariance(twist.covariance, "twist.covariance")
         twist = twist.twist
     if R is not None:
         R = convention.body @ R @ convention.body.T
     return Dvl(
         stamp_ns=sensor_stamp_ns(message.header),
-        v_d=convention.body @ vector(twist.linear, "twist.linear"),
+        v_d=convention.body @ vector(twist.linear, "twist.linear", measured),
         R=R,
+        measured=measured,  # our axes and those of the stream differ in signs only
     )
 
 

@@ -186,7 +186,8 @@ def fill_innovation(
     """Fill a geometry_msgs/TwistWithCovarianceStamped with the innovation of a measurement.
 
     The rows of the measurement are the first elements of the twist, and the others are zero. A
-    vector of three is rotated to the axes of the stream.
+    vector of three is in the axes of the stream. A component that was not measured has an infinite
+    variance.
 
     Args:
         message: The message.
@@ -197,7 +198,8 @@ def fill_innovation(
     """
     m = innovation.size
     if m == 3:
-        innovation, S = convention.body @ innovation, convention.body @ S @ convention.body.T
+        signs = np.diagonal(convention.body)  # a rotation would make nan of an infinite variance
+        innovation, S = signs * innovation, signs[:, None] * S * signs
     rows, covariance = np.zeros(6), np.zeros((6, 6))
     rows[:m], covariance[:m, :m] = innovation, S
     set_stamp(message, stamp_ns)

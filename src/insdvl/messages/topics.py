@@ -123,8 +123,7 @@ def _imu(message: Any, parameters: FilterParameters) -> Iterator[Event]:
 
 
 def _dvl(message: Any, parameters: FilterParameters) -> Iterator[Event]:
-    dvl = convert.dvl(message, _convention(parameters))
-    yield replace(dvl, R=convert.completed(dvl.R, parameters.dvl.noise_std))
+    yield convert.dvl(message, _convention(parameters))
 
 
 def _depth(message: Any, parameters: FilterParameters) -> Iterator[Event]:

@@ -14,10 +14,11 @@ from insdvl.kernels import kernel
 from insdvl.navigation import channels, coordinates, error_state, kalman, strapdown
 from insdvl.navigation.error_state import ACCELEROMETER_BIAS, HORIZONTAL_POSITION, POSITION
 from insdvl.navigation.events import NS, Imu, Initial, Measurement, Origin, ProcessNoise
-from insdvl.navigation.gate import Gate
+from insdvl.navigation.gate.gate import Gate
 from insdvl.navigation.geometry.frames import CONVENTIONS, rotation_from_rpy
 from insdvl.navigation.geometry.rotation import rotate
 from insdvl.navigation.kalman import Innovated
+from insdvl.navigation.measurements import claims
 from insdvl.navigation.measurements.base import SensorModel, Turn, Vehicle
 from insdvl.navigation.parameters import SENSORS, FilterParameters
 from insdvl.navigation.process_noise import shown, source_of
@@ -50,9 +51,10 @@ class UpdateReport:
     Attributes:
         measurement: Name of its kind.
         innovation: (m,) measured minus predicted, in the coordinates of the measurement.
-        S: (m, m) covariance of the innovation.
-        nis: Normalised innovation squared, chi-square with m degrees of freedom when all is well;
-            of the filter's own prediction also where the update adapts it.
+        S: (m, m) covariance of the innovation; the variance of a component that was not measured is
+            infinite, its innovation 0.
+        nis: Normalised innovation squared, chi-square with `rows` degrees of freedom when all is
+            well; of the filter's own prediction also where the update adapts it.
         accepted: Whether the state was corrected.
         reason: Empty, or why not: ``gate``; ``bad_covariance`` (S is not positive definite);
             ``not_finite`` (the NIS is beyond all numbers). ``restarted`` where the state was set
@@ -71,6 +73,11 @@ class UpdateReport:
     def corrected(self) -> bool:
         """Whether the innovation corrected the state; a restart only sets part of it."""
         return self.accepted and not self.reason
+
+    @property
+    def rows(self) -> int:
+        """Number of components that were measured."""
+        return int(np.count_nonzero(np.isfinite(np.diagonal(self.S))))
 
     @property
     def judged(self) -> bool:
@@ -392,35 +399,26 @@ class Filter:
         """
         s, model, gate = state[0], self.models[event.name], self._gates[event.name]
         memory, stamp_ns = s["gate"][event.name], event.stamp_ns
-        repeats = self._repeats(memory, model.reading(event))
-        reason = model.refusal(event, repeats, contradicted=memory["rejected_from_ns"] != NEVER)
-        if not s["nav"]["initialised"]:
+        reason = claims.refusal(memory, model, event)
+        if not reason and not s["nav"]["initialised"]:
             reason = "not_initialised"
         if reason:
             nan = np.full((model.rows, model.rows), np.nan)
             return UpdateReport(event.name, nan[0], nan, np.nan, False, reason)
         turn = self._turn(s, w_ib_b, share)
         linearised = model.linearise(state, event, turn)
-        shown.advance(s, self.vehicle, stamp_ns)
         R = gate.doubted(s, stamp_ns, linearised.R)
         now = kalman.innovate(s["nav"]["P"], linearised.z_minus_h, linearised.H, R)
         if not np.isfinite(now.nis):
             reason = "bad_covariance" if np.isnan(now.nis) else "not_finite"
             return self._report(event, now, False, reason)
+        shown.advance(s, self.vehicle, stamp_ns)
         now, accepted, reason = gate.judge(s, stamp_ns, now)
         report = self._report(event, now, accepted, reason)
         if report.corrected:
             self._correct(state, event, turn, now)
         memory["judged_ns"] = stamp_ns
         return report
-
-    @staticmethod
-    def _repeats(memory: State, reading: Array) -> int:
-        """Remember a reading; returns how many before it were equal to it, in a row."""
-        m = len(reading)
-        repeats = int(memory["repeats"]) + 1 if (reading == memory["reading"][:m]).all() else 0
-        memory["reading"][:m], memory["repeats"] = reading, repeats
-        return repeats
 
     def _correct(self, state: Records, event: Measurement, turn: Turn, now: Innovated) -> None:
         s, model, stamp_ns = state[0], self.models[event.name], event.stamp_ns
@@ -444,7 +442,8 @@ class Filter:
 
     @staticmethod
     def _report(event: Measurement, now: Innovated, accepted: bool, reason: str) -> UpdateReport:
-        return UpdateReport(event.name, now.innovation, now.S, now.nis, accepted, reason)
+        S = np.where(np.diag(~now.measured), np.inf, now.S)
+        return UpdateReport(event.name, now.innovation, S, now.nis, accepted, reason)
 
     def _turn(self, s: State, w_ib_b: Array, share: Array | float) -> Turn:
         """The turn rate at a measurement, and what is not known of it."""

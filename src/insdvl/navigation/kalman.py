@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from insdvl.arrays import Array, Records
 from insdvl.kernels import kernel
@@ -49,6 +50,16 @@ class Innovated:
     S: Array
     K: Array
     nis: float
+
+    @property
+    def measured(self) -> NDArray[np.bool_]:
+        """(m,) which components were measured; those that were not have a row of zeros in H."""
+        return np.asarray(self.H.any(axis=1))
+
+    @property
+    def rows(self) -> int:
+        """Number of components that were measured: the degrees of freedom of the NIS."""
+        return int(np.count_nonzero(self.measured))
 
 
 def innovate(P: Array, z_minus_h: Array, H: Array, R: Array) -> Innovated:
@@ -316,7 +327,8 @@ def _correct_body_velocity(
     mean, covariance, H_v = np.empty(3), np.empty((3, 3)), H[:, VELOCITY]
     _product_moments(P, mean, covariance)
     K, innovation, product = prior.K, prior.innovation, False
-    if np.trace(H_v @ covariance @ H_v.T) > _PRODUCT * np.trace(R):
+    noise = np.diagonal(R) @ prior.measured
+    if np.trace(H_v @ covariance @ H_v.T) > _PRODUCT * noise:
         before = P[VELOCITY, VELOCITY].copy()
         P[VELOCITY, VELOCITY] += covariance
         now = innovate(P, innovation + H_v @ mean, H, R)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from insdvl.navigation.channels import ImuParameters
-from insdvl.navigation.gate import GateParameters
+from insdvl.navigation.gate.parameters import GateParameters
 from insdvl.navigation.geometry.earth import MAX_LATITUDE_DEG
 from insdvl.navigation.geometry.frames import CONVENTIONS
 from insdvl.navigation.geometry.odom import MAX_FROM_ORIGIN, place_of

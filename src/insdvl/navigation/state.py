@@ -35,6 +35,8 @@ CORE = 15
 MAX_ROWS = 4
 #: Most innovations that the adaptive process noise averages.
 MAX_WINDOW = 50
+#: Readings of each kind of measurement that are remembered, to tell a repeated one.
+READINGS = 8
 
 # What a field holds, for the empty record and for the check of a stored one.
 STAMP = "stamp"  # nanoseconds, NEVER at first
@@ -99,11 +101,13 @@ def _noise(n: int) -> tuple[Field, ...]:
 
 #: What the gate remembers of one kind of measurement. Vectors have the rows that it has in use.
 _GATE = (
-    # Stamps of the last one that was judged and of the last that was accepted, and the last reading
+    # Stamps of the last one that was judged and of the last that was accepted
     Field("judged_ns", STAMP),
     Field("accepted_ns", STAMP),
-    Field("reading", UNKNOWN, (MAX_ROWS,)),
-    Field("repeats", COUNT),  # how many before it were equal to it, in a row
+    # The last readings that no claim of their own has refused, the newest first, and how many
+    # others in a row were equal to the newest
+    Field("readings", UNKNOWN, (READINGS, MAX_ROWS)),
+    Field("repeats", COUNT),
     Field("left", NUMBER, (MAX_ROWS,)),  # innovation that the last accepted one left
     # For how long the sensor has borne the filter out [ns]; since when all are rejected, the first
     # innovation, and for how long that may go on [ns]; when the filter gave in to the sensor

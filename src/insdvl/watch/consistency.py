@@ -2,6 +2,8 @@
 
 from scipy.special import gammaincinv
 
+from insdvl.navigation.filter import UpdateReport
+
 
 def nis_median(rows: int) -> float:
     """Median of the normalised innovation squared of a consistent filter.
@@ -9,3 +11,8 @@ def nis_median(rows: int) -> float:
     It is chi-square with as many degrees of freedom as the measurement has rows.
     """
     return 2.0 * float(gammaincinv(rows / 2.0, 0.5))
+
+
+def scaled_nis(report: UpdateReport) -> float:
+    """The NIS of a judged measurement, scaled to all rows where some of them were not measured."""
+    return report.nis * (len(report.innovation) / report.rows)

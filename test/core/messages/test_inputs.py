@@ -120,14 +120,15 @@ def test_set_odometry_is_of_the_filters_own_frames(
 # ------------------------------------------------------------------ what a message leaves open
 
 
-def test_a_dvl_that_tells_two_variances_has_the_declared_third() -> None:
-    of = inputs(dvl__noise_std=(0.1, 0.2, 0.5))
+def test_a_dvl_that_tells_two_variances_leaves_the_third_open() -> None:
+    """A zero; the filter takes dvl.noise_std for it."""
+    of = inputs()
     covariance = np.zeros((6, 6))
     covariance[0, 0] = covariance[1, 1] = 4.0
     twist = Message(twist=Message(linear=xyz(1.0)), covariance=covariance.ravel())
     (event,) = events(of, "dvl/velocity_cov", Message(header=header(NOW, ""), twist=twist))
     assert isinstance(event, Dvl) and event.R is not None
-    np.testing.assert_allclose(event.R, np.diag([4.0, 4.0, 0.25]))
+    np.testing.assert_array_equal(event.R, np.diag([4.0, 4.0, 0.0]))
 
 
 @pytest.mark.parametrize("topic", ["set_odometry", "truth"])

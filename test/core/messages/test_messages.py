@@ -224,12 +224,28 @@ class TestCovariance:
     def test_refused(self, values):
         assert reason_of(messages.covariance, values, 3, "P") == "bad_covariance"
 
-    def test_rounding_is_no_reason(self):
-        """Single precision is not; a computation in double precision is."""
+    @pytest.mark.parametrize("rounding", [1e-12, 1.9e-8, 1e-6])
+    def test_rounding_is_no_reason(self, rounding):
+        """Relative to the largest element; single precision makes 6e-8."""
         P = block_covariance()
-        P[0, 1] *= 1.0 + 1e-12
+        P[0, 1] += rounding * np.abs(P).max()
         symmetric = messages.covariance(flat(P), 6, "P")
         np.testing.assert_array_equal(symmetric, symmetric.T)
+        np.testing.assert_allclose(symmetric, P, atol=rounding * np.abs(P).max())
+
+    def test_a_larger_asymmetry_is(self):
+        P = block_covariance()
+        P[0, 1] += 2e-6 * np.abs(P).max()
+        assert reason_of(messages.covariance, flat(P), 6, "P") == "bad_covariance"
+
+    def test_a_singular_covariance_in_single_precision_has_no_negative_eigenvalue(self):
+        rng = np.random.default_rng(71)
+        for _ in range(100):
+            root = rng.standard_normal((3, 1))
+            P = (root @ root.T).astype(np.float32).astype(float)
+            mended = messages.covariance(P.ravel(), 3, "P")
+            np.testing.assert_allclose(mended, P, atol=1e-7 * P.max())
+            assert np.linalg.eigvalsh(mended)[0] > -1e-9 * P.max()
 
 
 class TestCompleted:
@@ -289,12 +305,45 @@ class TestDvl:
         P[3:, 3:] = np.diag([-1.0, 0.0, 0.0])
         np.testing.assert_array_equal(messages.dvl(twist_message(covariance=P), NED).R, np.eye(3))
 
-    def test_minus_one_means_no_bottom_lock(self):
+    def test_minus_one_is_an_unknown_variance(self):
+        """REP-145 has it for a covariance that is not measured; drivers write it for unknown."""
         P = np.zeros((6, 6))
         P[0, 0] = -1.0
+        assert messages.dvl(twist_message(covariance=P), ENU).R is None
+        P = np.diag([-1.0, 4.0, 9.0, 0.0, 0.0, 0.0])
+        P[0, 1] = P[1, 0] = 7.0
+        P[1, 2] = P[2, 1] = 3.0
+        event = messages.dvl(twist_message(covariance=P), NED)
+        np.testing.assert_array_equal(event.R, [[0, 0, 0], [0, 4, 3], [0, 3, 9]])
+        assert event.measured == (True, True, True)
+
+    @pytest.mark.parametrize("v", [0.5, NAN, INF])
+    @pytest.mark.parametrize("correlation", [0.0, 0.5, NAN, INF])
+    def test_an_infinite_variance_is_a_component_that_was_not_measured(self, v, correlation):
+        P = np.diag([4.0, INF, 9.0, 0.0, 0.0, 0.0])
+        P[0, 1] = P[1, 0] = P[1, 2] = P[2, 1] = correlation
+        event = messages.dvl(twist_message((1.0, v, 3.0), covariance=P), ENU)
+        np.testing.assert_array_equal(event.v_d, [1.0, 0.0, -3.0])
+        np.testing.assert_array_equal(event.R, np.diag([4.0, 0.0, 9.0]))
+        assert event.measured == (True, False, True)
+
+    def test_nothing_measured_is_no_data(self):
+        P = np.diag([INF, INF, INF, 0.0, 0.0, 0.0])
         assert reason_of(messages.dvl, twist_message(covariance=P), ENU) == "no_data"
 
-    @pytest.mark.parametrize("P", [np.diag([1.0, -1.0, 1.0, 1.0, 1.0, 1.0]), np.full((6, 6), NAN)])
+    def test_nan_with_a_variance_that_is_only_unknown_is_refused(self):
+        P = np.diag([4.0, -1.0, 9.0, 0.0, 0.0, 0.0])
+        message = twist_message((1.0, NAN, 3.0), covariance=P)
+        assert reason_of(messages.dvl, message, ENU) == "not_finite"
+
+    @pytest.mark.parametrize(
+        "P",
+        [
+            np.diag([1.0, -0.5, 1.0, 1.0, 1.0, 1.0]),
+            np.diag([1.0, -INF, 1.0, 1.0, 1.0, 1.0]),
+            np.full((6, 6), NAN),
+        ],
+    )
     def test_bad_covariance(self, P):
         assert reason_of(messages.dvl, twist_message(covariance=P), ENU) == "bad_covariance"
 

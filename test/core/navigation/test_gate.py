@@ -11,6 +11,7 @@ from insdvl.navigation.coordinates import body_velocity_jacobian
 from insdvl.navigation.error_state import ATTITUDE, VELOCITY
 from insdvl.navigation.events import NS
 from insdvl.navigation.filter import Filter
+from insdvl.navigation.measurements.depth import Depth
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import (
     DvlParameters,
@@ -41,7 +42,7 @@ def parameters(error_state: str = "invariant", **gate: object) -> FilterParamete
     return FilterParameters(
         frame_convention="ned",
         error_state=error_state,
-        dvl=DvlParameters(noise_std=(DVL_STD,) * 3),
+        dvl=DvlParameters(noise_std=(DVL_STD,) * 3, max_speed=1000.0),  # the gate's business
         gate=GateParameters(**({"max_rejection_time": float(LIMIT)} | gate)),
         process_noise=ProcessNoiseParameters(
             accelerometer_variance=tuple(VARIANCES[:3]), gyroscope_variance=tuple(VARIANCES[3:])
@@ -427,7 +428,7 @@ def test_one_outlier_after_an_outage_restarts_nothing() -> None:
 
 
 #: What a gate remembers of a reading that it has not used.
-MEMORY = ("gate.dvl.reading", "gate.dvl.repeats")
+MEMORY = ("gate.dvl.readings", "gate.dvl.repeats")
 
 
 def without_memory(result: FoldResult) -> list[bytes]:
@@ -484,15 +485,17 @@ def test_numbers_beyond_all_numbers_leave_the_state_alone(enabled: bool) -> None
     settings = parameters(enabled=enabled)
     filter_ = Filter(settings)
     state = fly(settings, m, m.v_d).states[-1:].copy()
-    before = state.tobytes()
-    for v_d, reason in ((1e200, "not_finite"), (1e-3, "bad_covariance")):
-        R = np.eye(3) * (1.0 if reason == "not_finite" else -1.0)
-        state["gate"]["dvl"]["reading"] = np.nan
-        dvl = Dvl(int(state[0]["nav"]["time_ns"]), np.full(3, v_d), R)
-        report = filter_.update(state, dvl, np.zeros(3), 1.0)
+    before, memories = state.tobytes(), state["gate"].copy()
+    now_ns = int(state[0]["nav"]["time_ns"])
+    for event, reason in (
+        (Dvl(now_ns, np.full(3, 1e200)), "too_fast"),
+        (Depth(now_ns, 1e200), "not_finite"),
+        (Dvl(now_ns, np.full(3, 1e-3), -np.eye(3)), "bad_covariance"),
+    ):
+        report = filter_.update(state, event, np.zeros(3), 1.0)
         assert (report.accepted, report.reason) == (False, reason)
-    last = fly(settings, m, m.v_d).states[-1]
-    state["gate"]["dvl"]["reading"] = last["gate"]["dvl"]["reading"]
+    for name in ("dvl", "depth"):  # what was read is remembered
+        state["gate"][name]["readings"] = memories[name]["readings"]
     assert state.tobytes() == before
 
 

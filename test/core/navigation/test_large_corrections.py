@@ -16,9 +16,13 @@ from insdvl.navigation.filter import Filter
 from insdvl.navigation.geometry.frames import rotation_from_rpy
 from insdvl.navigation.measurements.base import Linearised, Turn
 from insdvl.navigation.measurements.dvl import Dvl
-from insdvl.navigation.parameters import FilterParameters, GateParameters
+from insdvl.navigation.parameters import DvlParameters, FilterParameters, GateParameters
 
 DVL_STD = 0.1  # m/s
+#: Nothing is refused, however large the correction is.
+WITHOUT_GATE = FilterParameters(
+    dvl=DvlParameters(max_speed=1000.0), gate=GateParameters(enabled=False)
+)
 RUNS = 200
 
 
@@ -48,7 +52,7 @@ def prior(filter_: Filter, tilt: float, seconds: float) -> np.ndarray:
 
 @pytest.mark.parametrize("tilt", [0.01, 0.3])
 def test_the_body_velocity_is_as_good_as_its_covariance(tilt: float) -> None:
-    filter_ = Filter(FilterParameters(gate=GateParameters(enabled=False)))
+    filter_ = Filter(WITHOUT_GATE)
     P = prior(filter_, tilt, seconds=6.0)
     L = np.linalg.cholesky(P)
     rng = np.random.default_rng(11)
@@ -98,7 +102,7 @@ def distance(a: np.void, b: np.void) -> float:
 @pytest.mark.parametrize("tilt", [0.05, 0.3])
 def test_the_state_is_continuous_in_the_measurement(tilt: float, direction: int) -> None:
     """The largest step of a sweep vanishes as the sweep is refined there; a jump would stay."""
-    filter_ = Filter(FilterParameters(gate=GateParameters(enabled=False)))
+    filter_ = Filter(WITHOUT_GATE)
     P = prior(filter_, tilt, seconds=6.0)
     along = np.random.default_rng(direction).standard_normal(3)
     along /= np.linalg.norm(along)
@@ -114,7 +118,7 @@ def test_the_state_is_continuous_in_the_measurement(tilt: float, direction: int)
 
 def test_where_the_product_is_small_the_update_is_linear() -> None:
     """Bit by bit."""
-    filter_ = Filter(FilterParameters(gate=GateParameters(enabled=False)))
+    filter_ = Filter(WITHOUT_GATE)
     state = drifted(filter_, prior(filter_, 0.001, seconds=6.0))
     once = state.copy()
     event, turn = Dvl(1, np.array([1.6, 0.1, -0.1])), Turn(np.zeros(3), np.zeros((3, 3)))
@@ -160,7 +164,7 @@ def test_the_body_velocity_is_linear_in_what_is_corrected() -> None:
 
 def test_gain_and_innovation_left_agree_after_a_large_correction() -> None:
     """Nothing is left to iterate: what is left of 40 m/s is what a linear h leaves, little."""
-    filter_ = Filter(FilterParameters(gate=GateParameters(enabled=False)))
+    filter_ = Filter(WITHOUT_GATE)
     P = prior(filter_, 0.3, seconds=6.0)
     s = corrected(filter_, P, np.array([25.0, 30.0, -5.0]))
     v_b = s["nav"]["C_n_b"].T @ s["nav"]["v_n"]

@@ -343,7 +343,7 @@ def test_a_restart_forgets_the_innovations(form: str) -> None:
     )
     rng = np.random.default_rng(11)
     old = [Dvl(k * 50 * NS_STEP, 0.3 * rng.standard_normal(3)) for k in range(1, PINGS + 1)]
-    new = [Dvl(k0 * NS_STEP + k * 50 * NS_STEP, 0.1 * np.ones(3)) for k in (1, 2)]
+    new = [Dvl(k0 * NS_STEP + k * 50 * NS_STEP, 0.1 * k * np.ones(3)) for k in (1, 2)]
     with_past = at_rest(settings, k0 + 160, [*old, start, *new]).states[k0:]
     fresh = at_rest(settings, k0 + 160, [start, *new]).states[k0:]
     assert P15(with_past).tobytes() == P15(fresh).tobytes()

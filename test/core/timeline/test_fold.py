@@ -44,7 +44,9 @@ SETTINGS = FilterParameters(
     imu=ImuParameters(
         mount=(0.1, -0.2, 0.3), lever_arm=(0.2, 0.1, -0.1), rate_range=0.5, frozen_samples=10
     ),
-    dvl=DvlParameters(mount=(0.0, 0.0, 0.7), lever_arm=(0.5, 0.0, 0.3), bias_model="gauss_markov"),
+    dvl=DvlParameters(
+        mount=(0.0, 0.0, 0.7), lever_arm=(0.5, 0.0, 0.3), bias_model="gauss_markov", max_speed=100.0
+    ),
     process_noise=ProcessNoiseParameters(source="external"),
     initial=InitialParameters(mode="set_odometry", velocity_std=0.05),
     origin=OriginParameters(source="topic"),
@@ -84,7 +86,7 @@ def mission(seconds: float, seed: int = SEED) -> list[Event]:
                 f_b[1] = 0.1
             events.append(Imu(stamp, f_b, w_ib_b))
     for k, stamp in enumerate(m.dvl_stamps_ns.tolist()):
-        v_d = m.v_d[k] + {7: 5.0, 12: -2.0, 13: -2.0, 15: -40.0}.get(k, 0.0)
+        v_d = m.v_d[k] + {7: 5.0, 11: -70.0, 12: -2.0, 13: -2.0, 15: -40.0}.get(k, 0.0)
         stamp += 0 if k % 3 == 0 else 1_234_567 * k % STEP
         if k % 5 == 4:
             v_d = np.zeros(3)
@@ -143,7 +145,7 @@ def expected() -> FoldResult:
 def test_the_mission_has_what_can_go_wrong(expected: FoldResult) -> None:
     """Otherwise the tests below would show little."""
     reasons = {u.report.reason for u in expected.updates}
-    assert reasons == {"", "gate", "restarted", "repeated", "no_lock"}
+    assert reasons == {"", "gate", "restarted", "repeated", "no_lock", "too_fast"}
     assert expected.counts["inflations"] >= 1
     assert expected.counts["gaps"] == 1
     assert expected.counts["frozen"] == 31

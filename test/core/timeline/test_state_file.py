@@ -363,8 +363,8 @@ def test_a_file_of_other_states_or_another_version_is_refused(content: bytes) ->
     with pytest.raises(StateFileError, match=r"error states: .* were .*, now .*dvl_error"):
         resumed(content, other)
     for older in (b"insdvl state 2", b"insdvl state 1"):  # 2: positions were sums of metres
-        with pytest.raises(StateFileError, match=f"another version.*'{older.decode()}'.*state 3"):
-            resumed(content.replace(b"insdvl state 3", older))
+        with pytest.raises(StateFileError, match=f"another version.*'{older.decode()}'.*state 4"):
+            resumed(content.replace(b"insdvl state 4", older))
 
 
 def test_parameters_that_decide_nothing_may_change(content: bytes) -> None:

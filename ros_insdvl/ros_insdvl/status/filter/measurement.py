@@ -8,7 +8,7 @@ import numpy as np
 from insdvl.navigation.events import NS
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.output import AppliedUpdate
-from insdvl.watch.consistency import nis_median
+from insdvl.watch.consistency import nis_median, scaled_nis
 from insdvl.watch.state_summary import summary
 from ros_insdvl.status.diagnostics import ERROR, RECENT, WARN, Status, View, nis_key
 from ros_insdvl.status.filter.base import Cause, Published
@@ -53,6 +53,7 @@ class MeasurementCause(Cause):
             model.rows,
         )
         self._updates: Counter[str] = Counter()
+        self._not_measured: Counter[str] = Counter()  # components
         self.reset()
 
     def reset(self) -> None:
@@ -65,8 +66,10 @@ class MeasurementCause(Cause):
         if report.measurement != self._name:
             return
         self._updates["accepted" if report.accepted else "rejected"] += 1
+        missing = np.isinf(np.diagonal(report.S))
+        self._not_measured.update(axis for axis, none in zip("xyz", missing, strict=False) if none)
         if report.corrected:
-            self._nis.append(report.nis)
+            self._nis.append(scaled_nis(report))
 
     def status(self, view: View) -> Status:
         """Rejections, outage, recovery and NIS."""
@@ -88,6 +91,8 @@ class MeasurementCause(Cause):
         view.show(status, *self._topics)
         for name in ("accepted", "rejected"):
             status.values[f"{self._label} updates {name}"] = self._updates[name]
+        for axis, count in sorted(self._not_measured.items()):
+            status.values[f"{self._label} updates without {axis}"] = count
         for refused, count in view.rejected.total.items():
             if refused.topic == self._name:
                 status.values[f"rejected {refused}"] = count

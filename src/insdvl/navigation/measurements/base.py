@@ -97,8 +97,26 @@ class Turn:
 
 
 @dataclass(frozen=True)
+class Past:
+    """What a sensor has read before a measurement.
+
+    Attributes:
+        readings: (k, m) the last ones that no claim of their own has refused, the newest first.
+        repeats: How many readings in a row before the measurement were equal to it.
+        contradicted: Whether the gate has rejected the measurement before it.
+    """
+
+    readings: Array
+    repeats: int
+    contradicted: bool
+
+
+@dataclass(frozen=True)
 class Linearised:
     """A measurement at a state: z - h = H dx + noise.
+
+    A component that was not measured has a row of zeros in H, an innovation of zero, and noise that
+    is independent of the others'. Its row of the gain is then zero, its share of the NIS too.
 
     Attributes:
         z_minus_h: (m,) measured minus predicted.
@@ -129,16 +147,18 @@ class SensorModel(ABC, Generic[_Event]):
 
     @abstractmethod
     def reading(self, event: _Event) -> Array:
-        """(m,) what was read, to tell whether it repeats the last one."""
+        """(m,) what was read, to tell whether it repeats an earlier one."""
 
     @abstractmethod
-    def refusal(self, event: _Event, repeats: int, *, contradicted: bool) -> str:
+    def refusal(self, event: _Event, past: Past) -> str:
         """Why the measurement says by itself that it is none; empty where it does not.
+
+        It is asked before anything is predicted. A refused measurement changes nothing: neither the
+        state nor the memory of the gate.
 
         Args:
             event: The measurement.
-            repeats: How many readings in a row before it were equal to it.
-            contradicted: Whether the gate has rejected the measurement before it.
+            past: What was read before it.
         """
 
     @abstractmethod

@@ -22,6 +22,7 @@ from insdvl.navigation.geometry.rotation import cross_matrix
 from insdvl.navigation.measurements.base import (
     Block,
     Linearised,
+    Past,
     SensorModel,
     SensorParameters,
     Turn,
@@ -169,11 +170,11 @@ class DepthModel(SensorModel[Depth]):
         """The depth."""
         return np.array([event.depth])
 
-    def refusal(self, event: Depth, repeats: int, *, contradicted: bool) -> str:
+    def refusal(self, event: Depth, past: Past) -> str:
         """``frozen``: the same number again and again, or once more after it was rejected."""
         least = self._parameters.frozen_samples
-        again = contradicted and repeats > 0
-        return "frozen" if least > 0 and (again or least <= repeats + 1) else ""
+        again = past.contradicted and past.repeats > 0
+        return "frozen" if least > 0 and (again or least <= past.repeats + 1) else ""
 
     def linearise(self, state: Records, event: Depth, turn: Turn) -> Linearised:
         """d = h_s - h + [C_n_b l]_D, H = [0, -[a x]_D, 0, 0, e_D] and 1 for h_s.

@@ -2,9 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import hypot
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from insdvl.arrays import Array, Records
 from insdvl.kernels import kernel
@@ -28,9 +30,11 @@ from insdvl.navigation.geometry.rotation import (
     rotate_back,
     skew,
 )
+from insdvl.navigation.measurements import claims
 from insdvl.navigation.measurements.base import (
     Block,
     Linearised,
+    Past,
     SensorModel,
     SensorParameters,
     Turn,
@@ -52,19 +56,23 @@ class Dvl(Measurement):
     """Velocity over ground at the DVL, in DVL axes.
 
     Attributes:
-        v_d: (3,) velocity [m/s].
-        R: (3, 3) covariance [(m/s)^2]; None takes the parameter ``dvl.noise_std``.
+        v_d: (3,) velocity [m/s]; 0 for a component that was not measured.
+        R: (3, 3) covariance [(m/s)^2] as the sender tells it, with zeros for a component of unknown
+            variance; None where it tells nothing.
+        measured: Which components were measured.
     """
 
     v_d: Array
     R: Array | None = None
+    measured: tuple[bool, bool, bool] = (True, True, True)
 
     name = "dvl"
     kind = Measurement.FIRST
 
     def payload(self) -> bytes:
-        """Velocity and covariance."""
-        return self.v_d.tobytes() + (b"" if self.R is None else self.R.tobytes())
+        """Velocity, which of it was measured, and covariance."""
+        R = b"" if self.R is None else self.R.tobytes()
+        return self.v_d.tobytes() + bytes(self.measured) + R
 
     def limits(self) -> Limits:
         """What no vehicle does."""
@@ -81,17 +89,40 @@ class DvlParameters(SensorParameters):
     mount: tuple[float, ...] = mount("DVL")
     lever_arm: tuple[float, ...] = lever_arm("DVL")
     time_offset: float = time_offset("DVL")
+    covariance: str = parameter(
+        "largest",
+        "Whose noise a measurement has: that of the message with at least noise_floor in each "
+        "component, that of the message as it is, or always noise_std. Where the message tells no "
+        "covariance, or -1 or 0 for a component, it is noise_std.",
+        choices=("largest", "message", "parameters"),
+    )
     noise_std: tuple[float, ...] = parameter(
         (0.1, 0.1, 0.1),
-        "Noise of each velocity component, one sigma; a covariance in the message replaces it.",
+        "Noise of each velocity component, one sigma, where dvl.covariance takes it.",
         unit="m/s",
         low=1e-6,
         length=3,
     )
+    noise_floor: float = parameter(
+        0.01,
+        "With covariance 'largest', the smallest sigma of a component that a message may tell. "
+        "Drivers tell the spread within one ping, or nothing that means anything; real errors are "
+        "rarely smaller.",
+        unit="m/s",
+        low=0.0,
+        high=10.0,
+    )
+    max_speed: float = parameter(
+        10.0,
+        "A velocity whose norm is larger is refused as 'too_fast'. Set it for a faster vehicle.",
+        unit="m/s",
+        above=0.0,
+        high=MAX_SPEED,
+    )
     lock_check: bool = parameter(
         True,
-        "Refuse a velocity of exactly zero ('no_lock') and one that exactly repeats the previous "
-        "measurement ('repeated'): a DVL without bottom lock reports these.",
+        "Refuse a velocity of exactly zero ('no_lock'), and one that exactly repeats one of the "
+        "last eight where resolution and noise make that unlikely by chance ('repeated').",
     )
     gyro_average: float = parameter(
         0.25,
@@ -132,7 +163,9 @@ class DvlParameters(SensorParameters):
     ROOM: ClassVar[Mapping[str, int]] = {"dvl_error": 3, "dvl_mount": 3}
     REMEDIES: ClassVar[Mapping[str, str]] = {
         "no_lock": "the DVL sends exact zeros: it has no bottom lock",
-        "repeated": "the DVL repeats its last measurement: no bottom lock, or two publishers",
+        "repeated": "the DVL repeats an earlier measurement: no bottom lock, or two publishers",
+        "too_fast": "they are faster than dvl.max_speed: fill values of a DVL without bottom lock, "
+        "the DVL is in cm/s or mm/s, or dvl.max_speed is too small",
     }
 
     def blocks(self) -> tuple[Block, ...]:
@@ -171,8 +204,8 @@ class DvlModel(SensorModel[Dvl]):
         self._C_d_b = np.ascontiguousarray(self._C_b_d.T)
         self._l_b = vehicle.lever_arm(parameters.lever_arm)
         self._l_x = cross_matrix(self._l_b)
+        self._parameters = parameters
         self._R = np.diag(np.square(parameters.noise_std))
-        self._lock_check = parameters.lock_check
         self._error = vehicle.blocks.get("dvl_error")
         self._mount = vehicle.blocks.get("dvl_mount")
         self.turn_window_ns = round(parameters.gyro_average * NS)
@@ -181,13 +214,31 @@ class DvlModel(SensorModel[Dvl]):
         """The velocity."""
         return event.v_d
 
-    def refusal(self, event: Dvl, repeats: int, *, contradicted: bool) -> str:
-        """``no_lock`` or ``repeated``: what a DVL without bottom lock reports."""
-        if not self._lock_check:
+    def refusal(self, event: Dvl, past: Past) -> str:
+        """``too_fast``, ``no_lock`` or ``repeated``: what a DVL without bottom lock reports."""
+        if hypot(*event.v_d) > self._parameters.max_speed:
+            return "too_fast"
+        if not self._parameters.lock_check:
             return ""
         if not event.v_d.any():
             return "no_lock"
-        return "repeated" if repeats else ""
+        sigma = np.sqrt(np.abs(np.diagonal(self.noise(event))))
+        chance = claims.repeat_chance(event.v_d, past.readings, sigma)
+        return "repeated" if chance < claims.LEAST_CHANCE else ""
+
+    def noise(self, event: Dvl) -> Array:
+        """Covariance (3, 3) of one measurement's noise, as ``dvl.covariance`` has it [(m/s)^2]."""
+        parameters, R = self._parameters, event.R
+        if R is None or parameters.covariance == "parameters":
+            return self._R
+        variance = np.diagonal(R)
+        unknown = variance == 0.0
+        if parameters.covariance == "largest":
+            raised = (variance > 0.0) & (variance < parameters.noise_floor**2)
+            factor = np.ones(3)
+            factor[raised] = parameters.noise_floor / np.sqrt(variance[raised])
+            R = factor[:, None] * R * factor
+        return np.where(unknown[:, None] | unknown, self._R, R) if unknown.any() else R
 
     def linearise(self, state: Records, event: Dvl, turn: Turn) -> Linearised:
         """h = C_d_b (C_b_n v_n + w_nb_b x l) + b_d,  w_nb_b = w_ib_b - b_w - C_b_n w_in_n.
@@ -213,13 +264,16 @@ class DvlModel(SensorModel[Dvl]):
             H[:, self._error] = np.eye(3)
             z_minus_h -= optional[vehicle.optional("dvl_error")]
         arm = C_d_b @ self._l_x
-        R = (self._R if event.R is None else event.R) + arm @ turn.covariance @ arm.T
-        return Linearised(z_minus_h, H, (R + R.T) / 2)
+        R = self.noise(event) + arm @ turn.covariance @ arm.T
+        R = (R + R.T) / 2
+        if not all(event.measured):
+            _leave_out(~np.array(event.measured), state[0]["nav"]["P"], z_minus_h, H, R)
+        return Linearised(z_minus_h, H, R)
 
     def in_stream(self, innovation: Array, S: Array) -> tuple[Array, Array]:
         """Velocities, in the body axes of the stream's convention."""
-        axes = self._vehicle.axes.body
-        return axes @ innovation, axes @ S @ axes.T
+        signs = np.diagonal(self._vehicle.axes.body)  # a rotation would make nan of infinity
+        return signs * innovation, signs[:, None] * S * signs
 
     def drift(self, s: State, seconds: float) -> Array:
         """Drift of the velocity in DVL axes by tilt, accelerometer bias and the samples' noise."""
@@ -275,6 +329,18 @@ class DvlModel(SensorModel[Dvl]):
         P[VELOCITY, VELOCITY] = self._C_b_d @ doubt @ self._C_b_d.T
         P[:] = T @ P @ T.T
         P[:] = (P + P.T) / 2
+
+
+def _leave_out(rows: NDArray[np.bool_], P: Array, z_minus_h: Array, H: Array, R: Array) -> None:
+    """Make components (m,) of a linearised measurement tell nothing, in place.
+
+    Their noise becomes as large as the filter's own sigma, so that S is as with a measurement, and
+    a restart of the state, which goes by R, leaves them as uncertain as they are.
+    """
+    n = H.shape[1]
+    variance = np.diagonal(H @ P[:n, :n] @ H.T + R)[rows]
+    z_minus_h[rows], H[rows], R[rows], R[:, rows] = 0.0, 0.0, 0.0, 0.0
+    R[rows, rows] = variance
 
 
 @kernel

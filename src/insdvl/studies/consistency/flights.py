@@ -16,7 +16,7 @@ from insdvl.arrays import Array
 from insdvl.navigation.channels import ImuParameters
 from insdvl.navigation.error_state import HORIZONTAL_POSITION
 from insdvl.navigation.events import Event, Initial
-from insdvl.navigation.gate import GateParameters
+from insdvl.navigation.gate.parameters import GateParameters
 from insdvl.navigation.geometry.odom import place_of
 from insdvl.navigation.measurements.dvl import Dvl, DvlParameters
 from insdvl.navigation.odometry import odometry

@@ -4,8 +4,10 @@ Each function makes a change, ``change(stream, rng) -> stream``, and marks messa
 longer valid. Times are seconds from the start of the mission.
 """
 
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -161,19 +163,26 @@ def dropped(topic: str, begin: float, end: float) -> Change:
     return change
 
 
-def held(topic: str, begin: float, end: float) -> Change:
-    """A sensor repeats its last message before the fault within [begin, end), with new stamps."""
+def held(topic: str, begin: float, end: float, count: int = 1) -> Change:
+    """A sensor repeats its last messages before the fault within [begin, end), with new stamps.
+
+    Args:
+        topic: Topic of the messages.
+        begin: [s].
+        end: [s].
+        count: How many messages it repeats, in turn.
+    """
 
     def change(stream: Stream, rng: np.random.Generator) -> Stream:
-        last: Any = None
+        last: deque[Any] = deque(maxlen=count)
 
         def each(arrival: Arrival) -> Iterator[Arrival]:
-            nonlocal last
             if _inside(stream, arrival, topic, begin, end):
-                stale = replace(last, header=arrival.message.header)
+                last.rotate(-1)
+                stale = replace(last[-1], header=arrival.message.header)
                 arrival = arrival._replace(message=stale, valid=False)
             elif arrival.topic == topic:
-                last = arrival.message
+                last.append(arrival.message)
             yield arrival
 
         return stream.changed(each)
@@ -247,6 +256,35 @@ def with_covariance(covariance: Array) -> Edit:
         return replace(made, twist=replace(made.twist, covariance=covariance))
 
     return edit
+
+
+def alternating(topic: str, begin: float, end: float, *edits: Edit) -> Change:
+    """Change the messages of a topic within [begin, end) by each edit in turn."""
+
+    def change(stream: Stream, rng: np.random.Generator) -> Stream:
+        turn = cycle(edits)
+        return edited(topic, begin, end, lambda message: next(turn)(message))(stream, rng)
+
+    return change
+
+
+def told(begin: float, end: float, R: Array) -> Change:
+    """The DVL's driver tells a covariance (3, 3) with each velocity within [begin, end)."""
+    covariance = np.zeros((6, 6))
+    covariance[:3, :3] = R
+
+    def change(stream: Stream, rng: np.random.Generator) -> Stream:
+        edit = with_covariance(covariance.ravel())
+
+        def each(arrival: Arrival) -> Iterator[Arrival]:
+            if _inside(stream, arrival, DVL, begin, end):
+                message = edit(arrival.message)
+                arrival = arrival._replace(topic=DVL_WITH_COVARIANCE, message=message)
+            yield arrival
+
+        return stream.changed(each)
+
+    return change
 
 
 def late(topic: str, begin: float, end: float, delay: float, share: float) -> Change:

@@ -126,12 +126,19 @@ def nothing_refused() -> Check:
 
 
 def update_reason(reason: str, share: float = 1.0, *, topic: str = DVL) -> Check:
-    """At least a share of the measurements that the fault touches are refused for this reason."""
+    """At least a share of the measurements that the fault touches are refused for this reason.
+
+    Args:
+        reason: The reason, or several with "or" between them.
+        share: The share.
+        topic: Topic that the fault touches.
+    """
+    reasons = reason.split(" or ")
 
     def judge(pairs: Pairs) -> tuple[str, bool]:
         counts = [
             sum(
-                update.reason == reason and pair.begin_ns <= update.stamp_ns < pair.end_ns
+                update.reason in reasons and pair.begin_ns <= update.stamp_ns < pair.end_ns
                 for update in pair.flight.updates_of(measurement_of(topic))
             )
             for pair in pairs
@@ -243,6 +250,23 @@ def rejoins(topic: str = DVL) -> Check:
         return text, min(shares) >= 0.9
 
     return Check(f"{name.upper()} used again afterwards", judge)
+
+
+def none_refused() -> Check:
+    """No DVL measurement is refused but by the gate, and that no more often than by chance."""
+
+    def judge(pairs: Pairs) -> tuple[str, bool]:
+        reasons = Counter(
+            update.reason
+            for pair in pairs
+            for update in pair.flight.updates_of(measurement_of(DVL))
+            if pair.begin_ns <= update.time_ns < pair.after_ns[1] and update.reason
+        )
+        count = reasons.pop("gate", 0)
+        text = ", ".join(f"`{name}` {n}" for name, n in sorted(reasons.items()))
+        return f"{text or 'none'}, by the gate {count}", not reasons and count <= len(pairs)
+
+    return Check("no good measurement refused, but for one per flight by the gate", judge)
 
 
 def used(least: int) -> Check:

@@ -14,6 +14,7 @@ from insdvl.messages.topics import PROCESS_NOISE
 from insdvl.navigation.events import NS
 from insdvl.recordings.messages import message_of
 from insdvl.simulation.depth import DepthModel
+from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.messages import (
     depth_messages,
     dvl_messages,
@@ -109,6 +110,8 @@ class Sensors:
         start_ns: Stamp of the start.
         learned: Whether the process noise is learned by a tuner; else the true one is published.
         depth_rate: Rate of the depth sensor [Hz]; 0 for none.
+        dvl_rate: Rate of the DVL [Hz].
+        dvl_noise: Its noise, one sigma [m/s].
     """
 
     imu: str = "noisy"
@@ -116,6 +119,8 @@ class Sensors:
     start_ns: int = 1000 * NS
     learned: bool = False
     depth_rate: float = 0.0
+    dvl_rate: float = 1.0
+    dvl_noise: float = 0.1
 
     @property
     def variances(self) -> tuple[float, float]:
@@ -139,6 +144,7 @@ def stream_of(sensors: Sensors, seed: int, duration: float) -> Stream:
         seed=seed,
         duration=duration,
         imu=ImuModel(rate=sensors.rate),
+        dvl=DvlModel(rate=sensors.dvl_rate, noise_std=(sensors.dvl_noise,) * 3),
         depth=DepthModel(rate=sensors.depth_rate),
         start_ns=sensors.start_ns,
     )

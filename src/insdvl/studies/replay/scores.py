@@ -27,6 +27,7 @@ from insdvl.studies.evaluation.metrics import (
 from insdvl.studies.replay.fold import Replayed
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.output import FoldResult
+from insdvl.watch.consistency import scaled_nis
 from insdvl.watch.heading_at_start import heading_at_start
 
 DVL = Dvl.name
@@ -110,8 +111,8 @@ def errors_of(fold: Fold | FoldResult, stamps_ns: Stamps, truth: Track) -> dict[
         "depth_sigma_end": None,
         "body_velocity_inside_3_sigma": None,
         "reference_stamps": int(inside.sum()),
-        "nis_mean": _mean([report.nis for report in dvl if report.judged]),
-        "nis_mean_accepted": _mean([report.nis for report in dvl if report.corrected]),
+        "nis_mean": _mean([scaled_nis(report) for report in dvl if report.judged]),
+        "nis_mean_accepted": _mean([scaled_nis(report) for report in dvl if report.corrected]),
     }
     if inside.sum() < 2:
         return result
@@ -154,7 +155,7 @@ def _updates_of(name: str, replayed: Replayed) -> dict[str, Any]:
         f"{name}_rejected_by_reason": dict(reasons),
     }
     if name != DVL:
-        numbers[f"{name}_nis_mean"] = _mean([r.nis for r in reports if r.judged])
+        numbers[f"{name}_nis_mean"] = _mean([scaled_nis(r) for r in reports if r.judged])
     return numbers
 
 

@@ -8,6 +8,7 @@ from insdvl.studies.faults import changes
 from insdvl.studies.faults.changes import axis, velocity
 from insdvl.studies.faults.checks import (
     covered,
+    none_refused,
     nothing_refused,
     recovers,
     refused,
@@ -18,6 +19,9 @@ from insdvl.studies.faults.checks import (
 )
 from insdvl.studies.faults.rows.base import BEGIN, END, ONE_SEED, FlightRow
 from insdvl.studies.faults.stream import Sensors
+
+#: What DVLs without bottom lock report in place of a velocity [m/s]: the smallest 16-bit number.
+FILL = -32.768
 
 
 def _rows() -> list[FlightRow]:
@@ -122,6 +126,50 @@ def _rows() -> list[FlightRow]:
         ),
         FlightRow(
             "DVL",
+            "the last two velocities in turn for 30 s",
+            changes.held(DVL, BEGIN, END, 2),
+            (update_reason("repeated"), covered(), recovers(10.0), rejoins()),
+        ),
+        FlightRow(
+            "DVL",
+            "in whole mm/s",
+            changes.edited(DVL, 0.0, END, velocity(lambda v: v.round(3)), valid=True),
+            (none_refused(), covered(), recovers(10.0), rejoins()),
+        ),
+        FlightRow(
+            "DVL",
+            "bottom lock lost for 120 s: z is -32.768 m/s",
+            changes.edited(DVL, 60.0, 180.0, velocity(axis(2, FILL))),
+            (update_reason("too_fast"), covered(), recovers(10.0), rejoins()),
+            begin=60.0,
+            end=180.0,
+        ),
+        FlightRow(
+            "DVL",
+            "bottom lock lost for 120 s: -32.768 m/s and zeros in turn",
+            changes.alternating(
+                DVL, 60.0, 180.0, velocity(lambda v: 0.0 * v + FILL), velocity(np.zeros_like)
+            ),
+            (update_reason("too_fast or no_lock"), covered(), recovers(10.0), rejoins()),
+            begin=60.0,
+            end=180.0,
+        ),
+        FlightRow(
+            "DVL",
+            "bottom lock lost for 120 s: -32.768 m/s, off by the rounding of the velocity",
+            changes.edited(DVL, 60.0, 180.0, velocity(lambda v: FILL + v.round(3) - v)),
+            (update_reason("too_fast"), covered(), recovers(10.0), rejoins()),
+            begin=60.0,
+            end=180.0,
+        ),
+        FlightRow(
+            "DVL",
+            "in cm/s for 30 s",
+            changes.edited(DVL, BEGIN, END, velocity(lambda v: 100.0 * v)),
+            (update_reason("too_fast"), covered(), recovers(10.0), rejoins()),
+        ),
+        FlightRow(
+            "DVL",
             "another frame_id",
             changes.edited(DVL, BEGIN, END, changes.framed("camera")),
             (refused("wrong_frame", DVL), covered(), recovers(10.0), rejoins()),
@@ -135,6 +183,39 @@ def _rows() -> list[FlightRow]:
             seeds=ONE_SEED,
         ),
     ]
+    nothing = np.zeros((3, 3))
+    skewed, unknown, blind = 0.01 * np.eye(3), nothing.copy(), 0.01 * np.eye(3)
+    skewed[0, 1] = 1.9e-10
+    unknown[0, 0] = -1.0
+    blind[1, 1] = np.inf
+    for words, told in (
+        ("a variance of 2.4e-8 (m/s)^2 with every velocity, true 1e-4", 2.4e-8 * np.eye(3)),
+        ("a variance of 4e-6 (m/s)^2 with every velocity, true 1e-4", 4e-6 * np.eye(3)),
+        ("a variance of 2.5e-5 (m/s)^2 with every velocity, true 1e-4", 2.5e-5 * np.eye(3)),
+    ):
+        rows.append(
+            FlightRow(
+                "DVL",
+                words,
+                changes.told(0.0, END, told),
+                (nothing_refused(), none_refused(), covered(), rejoins()),
+                parameters={"dvl.noise_std": (0.01,) * 3},
+                sensors=Sensors(imu="good", dvl_rate=5.0, dvl_noise=0.01),
+            )
+        )
+    for words, told in (
+        ("an asymmetry of 1.9e-8 of the largest element", skewed),
+        ("-1 for the first variance", unknown),
+        ("an infinite variance of y", blind),
+    ):
+        rows.append(
+            FlightRow(
+                "DVL",
+                f"{words}, for 30 s",
+                changes.told(BEGIN, END, told),
+                (nothing_refused(), none_refused(), covered(), recovers(10.0), rejoins()),
+            )
+        )
     wrong = np.eye(6).ravel()
     wrong[0] = -0.01
     for words, covariance in (

@@ -1,0 +1,1 @@
+"""Which measurements are used: what may be trusted, the filter, its IMU or the sensor?"""

@@ -1,0 +1,78 @@
+"""A misfit that one bad sample of the IMU explains.
+
+A sample that leaves its neighbours is believed if the next one agrees with it (channels.py). If
+both were wrong, they have turned the state, or changed its velocity, about the axis of their
+channel. A measurement then tells by how much.
+"""
+
+import numpy as np
+
+from insdvl.arrays import Array
+from insdvl.navigation import coordinates, kalman
+from insdvl.navigation.error_state import ATTITUDE, POSITION, VELOCITY
+from insdvl.navigation.events import NS
+from insdvl.navigation.geometry.rotation import cross_matrix
+from insdvl.navigation.kalman import Innovated
+from insdvl.navigation.measurements.base import Vehicle
+from insdvl.navigation.process_noise import shown
+from insdvl.navigation.state import State
+
+#: The vehicle turns and moves between the sample and the measurement: the axis of the channel, and
+#: with it the innovation, is known to within this part.
+LOOSELY = 0.2
+#: Largest turn that one sigma takes for possible [rad].
+LARGEST_TURN = 1.0
+
+
+def explains(
+    s: State, vehicle: Vehicle, since_ns: int, stamp_ns: int, now: Innovated, limit: float
+) -> bool:
+    """Inflate the covariance by the step of a channel, if that explains an innovation.
+
+    Args:
+        s: State at the measurement.
+        vehicle: That carries the IMU.
+        since_ns: Steps after this stamp count: of the last accepted measurement.
+        stamp_ns: Of the measurement.
+        now: The measurement; its NIS is beyond the limit.
+        limit: Of the NIS.
+
+    Returns:
+        Whether the covariance is larger now; the NIS by it is within the limit.
+    """
+    stepped = np.flatnonzero(s["channels"]["step_ns"] > since_ns)
+    if not stepped.size:
+        return False
+    n, C_n_i = now.H.shape[1], s["nav"]["C_n_b"] @ vehicle.C_b_i
+    size = float(np.linalg.norm(now.innovation))
+    columns = [LOOSELY * size * np.eye(n)[:, VELOCITY]]
+    for i in stepped:
+        impulses, axis = _impulses(s, vehicle, int(i), stamp_ns, n), C_n_i[:, i % 3]
+        seen = float(np.linalg.norm(now.H @ impulses @ axis))
+        amount = size / seen if size < LARGEST_TURN * seen else LARGEST_TURN
+        columns.append(amount * impulses @ np.column_stack([axis, LOOSELY * np.eye(3)]))
+    A = np.concatenate(columns, axis=1)
+    R = now.R + (now.H @ A) @ (now.H @ A).T
+    if kalman.innovate(shown.covariance(s, n), now.innovation, now.H, R).nis > limit:
+        return False
+    s["nav"]["P"][:n, :n] += A @ A.T
+    return True
+
+
+def _impulses(s: State, vehicle: Vehicle, i: int, stamp_ns: int, n: int) -> Array:
+    """Error state (n, 3) at a stamp by unit impulses about NED's axes in the triad of channel i.
+
+    For `invariant` a turn psi has dv = ([v x] + [g x] t) psi after the time t, for `ned` without
+    [v x]. The position stays in metres.
+    """
+    A = np.zeros((n, 3))
+    if i < 3:
+        A[VELOCITY] = np.eye(3)
+        return A
+    A[ATTITUDE] = np.eye(3)
+    seconds = (stamp_ns - int(s["channels"]["step_ns"][i])) / NS
+    A[VELOCITY] = seconds * cross_matrix(vehicle.workspace[0]["g_n"])
+    if vehicle.invariant:
+        A[VELOCITY] += cross_matrix(s["nav"]["v_n"])
+    A[POSITION] = coordinates.turns_position(s, invariant=vehicle.invariant)
+    return A
