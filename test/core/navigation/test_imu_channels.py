@@ -15,12 +15,12 @@ from insdvl.navigation.parameters import (
     DvlParameters,
     FilterParameters,
     ImuParameters,
-    InitialParameters,
     OriginParameters,
     ProcessNoiseParameters,
 )
 from insdvl.parameters.declaration import ParameterError, build
 from insdvl.simulation.dvl import DvlModel
+from insdvl.simulation.initial_errors import P_0
 from insdvl.simulation.mission import ImuModel, Mission, simulate
 from insdvl.simulation.noise import constant
 from insdvl.simulation.trajectories import AUV
@@ -42,7 +42,8 @@ SETTINGS = FilterParameters(
     process_noise=ProcessNoiseParameters(
         accelerometer_variance=(1e-6,) * 3, gyroscope_variance=(1e-8,) * 3
     ),
-    initial=InitialParameters(
+    initial=replace(
+        P_0,
         velocity_std=0.0,
         tilt_std=0.0,
         heading_std=0.0,
@@ -308,7 +309,7 @@ def test_the_velocity_is_covered_while_a_channel_is_frozen(rate: float, channel:
         process_noise=ProcessNoiseParameters(
             accelerometer_variance=(1e-4,) * 3, gyroscope_variance=(1e-6,) * 3
         ),
-        initial=InitialParameters(mode="set_odometry", velocity_std=0.02),
+        initial=replace(P_0, mode="set_odometry", velocity_std=0.02),
         origin=OriginParameters(height=float(AUV.h_0)),
     )
     C = m.initial.C_n_b[0]

@@ -17,12 +17,12 @@ from insdvl.navigation.parameters import (
     FilterParameters,
     GateParameters,
     ImuParameters,
-    InitialParameters,
     OriginParameters,
     ProcessNoiseParameters,
 )
 from insdvl.parameters.declaration import ParameterError
 from insdvl.simulation.dvl import DvlModel
+from insdvl.simulation.initial_errors import P_0
 from insdvl.simulation.mission import simulate
 from insdvl.simulation.noise import segments
 from insdvl.simulation.trajectories import AUV
@@ -46,7 +46,7 @@ SETTINGS = FilterParameters(
     ),
     dvl=DvlParameters(mount=(0.0, 0.0, 0.7), lever_arm=(0.5, 0.0, 0.3), bias_model="gauss_markov"),
     process_noise=ProcessNoiseParameters(source="external"),
-    initial=InitialParameters(mode="set_odometry", velocity_std=0.05),
+    initial=replace(P_0, mode="set_odometry", velocity_std=0.05),
     origin=OriginParameters(source="topic"),
 )
 
@@ -551,7 +551,7 @@ def test_a_q_applies_from_its_stamp_on() -> None:
         earth_rate=False,
         error_state="ned",
         q_timeout=100.0,
-        initial=InitialParameters(tilt_std=0.0, heading_std=0.0, accelerometer_bias_std=0.0),
+        initial=replace(P_0, tilt_std=0.0, heading_std=0.0, accelerometer_bias_std=0.0),
         process_noise=ProcessNoiseParameters(
             source="external",
             accelerometer_variance=(1.0,) * 3,
@@ -601,7 +601,7 @@ def modes(mode: str, **initial: object) -> FilterParameters:
     return FilterParameters(
         frame_convention="ned",
         imu=EQUAL_SAMPLES,
-        initial=InitialParameters(mode=mode, **initial),  # type: ignore[arg-type]
+        initial=replace(P_0, mode=mode, **initial),  # type: ignore[arg-type]
     )
 
 

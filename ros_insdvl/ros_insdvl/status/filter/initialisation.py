@@ -1,14 +1,14 @@
 """The cause `initialisation`: what the filter waits for, and initial states that it cannot use."""
 
 from insdvl.messages.inputs import Inputs
-from insdvl.messages.topics import FIX, SET_ODOMETRY
+from insdvl.messages.topics import FIX, IMU, SET_ODOMETRY
 from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.earth import MAX_LATITUDE_DEG
 from insdvl.navigation.geometry.odom import MAX_FROM_ORIGIN
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.state import State
 from insdvl.timeline.fold import Fold
-from insdvl.watch.heading_at_start import heading_at_start
+from insdvl.watch.start import large_biases, report_of_start
 from ros_insdvl.status.diagnostics import RECENT, WARN, Status, View
 from ros_insdvl.status.filter.base import Cause, Published
 
@@ -47,7 +47,7 @@ class Initialisation(Cause):
         elif first_ns is not None:
             status.summary = f"initialised, first output at stamp {first_ns / NS:.3f} s"
         if latest is not None:
-            self._tell_heading(latest, status)
+            self._tell_start(latest, status)
         for name, text in _EVENTS.items():
             if count := view.events.recent[name]:
                 status.complain(WARN, name, text.format(count=count, seconds=RECENT))
@@ -61,21 +61,32 @@ class Initialisation(Cause):
         view.show_events(status, *_EVENTS)
         return status
 
-    def _tell_heading(self, latest: State, status: Status) -> None:
-        """What came of gyrocompassing."""
-        heading = heading_at_start(latest, self._parameters.initial)
-        if heading is not None:
-            found, text = heading
-            if found:
-                status.summary += f", {text}"
-            else:
-                status.complain(WARN, "heading", text)
+    def _tell_start(self, latest: State, status: Status) -> None:
+        """What was taken from where, what is not known, and biases that were told too small."""
+        report = report_of_start(self._fold.filter, latest)
+        if report.text:
+            status.summary += f", {report.text}"
+        if report.missing:
+            status.complain(WARN, "heading", report.missing)
+        for text in large_biases(self._fold.filter, latest):
+            status.complain(WARN, "bias", text)
+
+    @property
+    def _automatic_waits_for(self) -> str:
+        """What the mode 'auto' waits for: a vehicle at rest need not be navigated yet."""
+        initial = self._parameters.initial
+        text = f"{initial.levelling_time:g} s of IMU samples whose specific force is gravity, then "
+        text += "for a DVL velocity or for motion"
+        if initial.heading == "imu":
+            text += f", with an orientation in {IMU} whose covariance[0] is not -1"
+        return text
 
     @property
     def _waits_for(self) -> str:
         """What an uninitialised filter waits for."""
         initial = self._parameters.initial
         waits_for = {
+            "auto": self._automatic_waits_for,
             "parameters": "the first IMU sample",
             "levelling": f"{initial.levelling_time:g} s of IMU samples at rest",
             "gyrocompassing": f"{initial.gyrocompass_time:g} s of IMU samples at rest",

@@ -189,6 +189,17 @@ class DvlModel(SensorModel[Dvl]):
             return "no_lock"
         return "repeated" if repeats else ""
 
+    def claims_rest(self, event: Dvl) -> bool:
+        """Exact zeros: no bottom lock, or a vehicle at rest."""
+        return not event.v_d.any()
+
+    def velocity(self, event: Dvl, turn: Turn) -> tuple[Array, Array]:
+        """v_b = C_b_d v_d - w x l, l being the arm from base_link."""
+        l_x = cross_matrix(self._l_b + self._vehicle.l_b_imu)
+        R = self._R if event.R is None else event.R
+        P = self._C_b_d @ R @ self._C_d_b + l_x @ turn.covariance @ l_x.T
+        return self._C_b_d @ event.v_d + l_x @ turn.w_ib_b, (P + P.T) / 2
+
     def linearise(self, state: Records, event: Dvl, turn: Turn) -> Linearised:
         """h = C_d_b (C_b_n v_n + w_nb_b x l) + b_d,  w_nb_b = w_ib_b - b_w - C_b_n w_in_n.
 
