@@ -274,18 +274,14 @@ class FilterNode(InsdvlNode[FilterParameters]):
         self._innovations[name].send(message)
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        known = self._fold.latest is not None
-        self._feed.reset()
+        is_kept = self._feed.reset()
         self._begin_time()
         if self._state_file is not None:
             self._state_file.remove()
-        kept = "nothing was known"
-        if known:
-            kept = "heading and position are kept, with their covariance"
-            if self.parameters.initial.mode != "auto":
-                kept = "heading and position are not kept"
+        kept = "are kept, with their covariance" if is_kept else "are not kept"
         response.success = True
-        response.message = f"uninitialised; initial.mode is {self.parameters.initial.mode}: {kept}"
+        response.message = f"uninitialised; initial.mode is {self.parameters.initial.mode}"
+        response.message += f"; heading and position {kept}"
         self.get_logger().info(f"reset: {response.message}; odom's origin stays as it is")
         return response
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from told import TOLD
 
 from insdvl.messages.inputs import Inputs
 from insdvl.messages.refusals import Refused
@@ -32,7 +33,7 @@ class Filter:
     """A filter's watch, the fold that it looks at, and a clock."""
 
     def __init__(self, **parameters: Any) -> None:
-        self.parameters = build(FilterParameters, parameters)
+        self.parameters = build(FilterParameters, TOLD | parameters)
         self.fold = Fold(self.parameters)
         self.inputs = Inputs(self.parameters)
         self.watch = FilterWatch(self.parameters, self.inputs, self.fold)
@@ -261,7 +262,7 @@ def test_a_silent_imu_is_an_error_until_it_comes_back() -> None:
 
 def expected_and_arrived(stamps: Any, **parameters: Any) -> tuple[int, int]:
     """What is counted of stamps in steps of 10 ms, in the order in which they arrive."""
-    samples = ExpectedSamples(build(FilterParameters, parameters))
+    samples = ExpectedSamples(build(FilterParameters, TOLD | parameters))
     for stamp in stamps:
         samples.add(START_NS + round(float(stamp) * NS / 100))
     return samples.expected, samples.arrived

@@ -25,6 +25,7 @@ from ros_messages import (
 )
 from sensor_msgs.msg import Imu, NavSatFix, NavSatStatus
 from std_srvs.srv import Trigger
+from told import TOLD
 
 from insdvl import files
 from insdvl.messages import convert as messages
@@ -98,7 +99,7 @@ def offline(parameters: dict[str, Any], sent: list[tuple[str, Any]]) -> list[Any
     convert = {"dvl/velocity": messages.dvl, "process_noise": messages.process_noise}
     events = [convert[topic](m, ENU) for topic, m in sent if topic in convert]
     result = fold_arrays(
-        build(FilterParameters, parameters),
+        build(FilterParameters, TOLD | parameters),
         np.array([s.stamp_ns for s in samples]),
         np.array([s.f_b for s in samples]),
         np.array([s.w_ib_b for s in samples]),
@@ -444,7 +445,7 @@ def signatures():
     return {(k.py_func.__qualname__, str(s)) for k in kernels for s in k.signatures}
 
 def late_compilations(values):
-    parameters = build(FilterParameters, values)
+    parameters = build(FilterParameters, TOLD | values)
     compile_kernels(parameters)
     compiled = signatures()
     assert compiled

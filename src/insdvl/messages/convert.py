@@ -168,7 +168,7 @@ def orientation(message: Any, convention: Convention, heading_std: float) -> Ori
     q = message.orientation
     q_xyzw = np.array([q.x, q.y, q.z, q.w], dtype=float)
     field = np.asarray(message.orientation_covariance, dtype=float).ravel()
-    if field.size != 9 or not abs(np.linalg.norm(q_xyzw) - 1.0) < 1e-2:
+    if field.size != 9 or not abs(np.hypot.reduce(q_xyzw) - 1.0) < 1e-2:
         return None
     if field[0] < 0.0 or not (np.isfinite(field[8]) and field[8] >= 0.0):
         return None

@@ -372,7 +372,7 @@ class Filter:
             event: The measurement.
             w_ib_b: (3,) angular rate at the stamp [rad/s], base_link axes.
             share: (3,) its variance, in units of that of one sample.
-            samples: (N, 6) of the last second, f then w, base_link axes; none where unknown.
+            samples: (N, 6) just before it, f then w, base_link axes; none where unknown.
         """
         s, model, gate = state[0], self.models[event.name], self._gates[event.name]
         memory, stamp_ns = s["gate"][event.name], event.stamp_ns

@@ -76,21 +76,21 @@ class Fold:
         self._capacity = capacity
         self._clear()
 
-    def reset(self) -> None:
+    def reset(self) -> bool:
         """Forget everything but where odom lies on the Earth; initialisation starts again.
 
-        With ``initial.mode: auto`` heading and position stay known, with their covariance.
+        With ``initial.mode: auto`` heading and position stay known; returns whether they do.
         """
-        pose = known_pose(self.filter, self.latest)
-        entries = self._entries.ordered
-        origins = [entry.event for entry in entries if isinstance(entry.event, Origin)]
+        valid, pose = self._samples.states[: self._samples.stale], None
+        if len(valid) and valid[-1]["nav"]["initialised"]:
+            pose = known_pose(self.filter, valid[-1])
+        origins = [e.event for e in self._entries.ordered if isinstance(e.event, Origin)]
         if (known := self._origin()) is not None:
             origins.insert(0, known)
         self._clear()
         for origin in origins[:1]:
             self.filter.locate(self._start, origin)
-        if pose is not None and self.parameters.initial.mode == "auto":
-            self.filter.start.keep(self._start[0], pose)
+        return pose is not None and self.filter.start.keep(self._start[0], pose)
 
     def _clear(self) -> None:
         """Nothing has happened yet."""

@@ -71,10 +71,8 @@ class LeftTime:
         return [*outputs, self.jump]
 
 
-def known_pose(filter_: Filter, state: State | None) -> Initial | None:
-    """What the output of a state says, as an initial state; None where there is no state."""
-    if state is None:
-        return None
+def known_pose(filter_: Filter, state: State) -> Initial:
+    """What the output of an initialised state says, as an initial state."""
     records = np.empty(1, state.dtype)
     records[0] = state
     o, axes = odometry(filter_, records, 0), filter_.vehicle.axes

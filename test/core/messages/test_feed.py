@@ -3,6 +3,7 @@
 from typing import Any
 
 import numpy as np
+from told import TOLD
 
 from insdvl.messages.feed import Feed
 from insdvl.messages.refusals import Refused
@@ -26,7 +27,7 @@ def odometry(stamp_ns: int) -> Any:
 
 
 def test_a_message_may_be_several_events() -> None:
-    feed = Feed(build(FilterParameters, {"process_noise.source": "message"}))
+    feed = Feed(build(FilterParameters, TOLD | {"process_noise.source": "message"}))
     first, second = feed.give(IMU, sample(START_NS))
     assert isinstance(first.event, Imu) and isinstance(second.event, ProcessNoise)
     assert first.refusal is second.refusal is None
@@ -35,7 +36,7 @@ def test_a_message_may_be_several_events() -> None:
 
 def test_refusals_of_converter_and_fold_are_counted_alike() -> None:
     told: list[tuple[str, str, str]] = []
-    feed = Feed(FilterParameters(), on_refused=lambda *refusal: told.append(refusal))
+    feed = Feed(build(FilterParameters, TOLD), on_refused=lambda *refusal: told.append(refusal))
     feed.give(IMU, sample(START_NS))
     (fed,) = feed.give(IMU, sample(START_NS))
     assert fed.refusal == "duplicate"
@@ -53,7 +54,7 @@ def test_refusals_of_converter_and_fold_are_counted_alike() -> None:
 
 def test_what_was_taken_before_a_refusal_stays_taken() -> None:
     """A sample is a sample whatever its covariance; its process noise is refused."""
-    feed = Feed(build(FilterParameters, {"process_noise.source": "message"}))
+    feed = Feed(build(FilterParameters, TOLD | {"process_noise.source": "message"}))
     message = sample(START_NS)
     message.linear_acceleration_covariance = -np.ones(9) / 2
     (fed,) = feed.give(IMU, message)
@@ -62,7 +63,7 @@ def test_what_was_taken_before_a_refusal_stays_taken() -> None:
 
 
 def test_after_a_time_jump_and_a_reset_the_initial_topic_is_taken_again() -> None:
-    feed = Feed(build(FilterParameters, {"initial.mode": "topic", "max_delay": 0.1}))
+    feed = Feed(build(FilterParameters, TOLD | {"initial.mode": "topic", "max_delay": 0.1}))
     topic = feed.inputs.initial_topic
     assert topic is not None
 

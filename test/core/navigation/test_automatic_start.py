@@ -349,7 +349,8 @@ def test_a_reset_keeps_heading_and_position() -> None:
     for event in sorted([*samples, *events], key=lambda event: event.stamp_ns):
         fold.add(event)
         if event.stamp_ns == stamps_ns[300] and isinstance(event, Imu):
-            fold.reset()
+            fold.take()
+            assert fold.reset()
             assert fold.latest is None
     s = fold.latest
     assert s is not None and s["start"]["heading_from"] == automatic.KEPT

@@ -31,6 +31,7 @@ SETTINGS = FilterParameters(
     frame_convention="ned",
     max_delay=MAX_DELAY,
     process_noise=ProcessNoiseParameters(source="external"),
+    initial=P_0,
 )
 
 

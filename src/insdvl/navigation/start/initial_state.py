@@ -241,17 +241,24 @@ class Start:
         if self._parameters.mode == "auto":
             self._automatic.hear_velocity(s, stamp_ns, v_b, P)
 
-    def keep(self, s: State, known: Initial) -> None:
-        """Heading and position are known from before a reset, with their covariance."""
+    def keep(self, s: State, known: Initial) -> bool:
+        """Keep heading and position from before a reset, with their covariance; whether it does.
+
+        Of the heading that holds below the sigma of an unknown one.
+        """
+        if self._parameters.mode != "auto":
+            return False
         nav = s["nav"]
         origin = np.array([nav["lat_0"], nav["lon_0"], nav["h_0"]])
         place = odom.place_of(known.p_o, origin)
-        assert place is not None and known.P_psi is not None  # it was there
+        if place is None or known.P_psi is None:
+            return False
         _, turn = odom.jacobian(place, origin)
         C, std = turn.T @ known.C_o_b, float(np.sqrt(known.P_psi[2, 2]))
         if std < automatic.UNKNOWN_HEADING:
             self._automatic.hear_heading(s, known.stamp_ns, C, std, automatic.KEPT)
         self._automatic.keep_position(s, known)
+        return True
 
     def _level(self, state: Records, sample: Imu) -> bool:
         """Collect the samples of a block at rest, f_b = -C_b_n g_n, then start from its direction.

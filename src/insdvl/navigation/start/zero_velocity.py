@@ -8,6 +8,7 @@ import numpy as np
 
 from insdvl.arrays import Array
 from insdvl.navigation.error_state import ACCELEROMETER_BIAS, GYROSCOPE_BIAS
+from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.earth import gravity
 from insdvl.navigation.measurements.base import Linearised, Vehicle
 from insdvl.navigation.start import rest
@@ -15,7 +16,7 @@ from insdvl.navigation.start.gyrocompass import noise_of
 from insdvl.navigation.state import State
 
 #: The samples of this time [ns] before the measurement have to show a vehicle at rest.
-WINDOW_NS = 1_000_000_000
+WINDOW_NS = 500_000_000
 #: One sigma of each component of the filter's own velocity is below this [m/s], and each component
 #: within so many sigma of zero.
 KNOWN, SIGMAS = 0.1, 3.0
@@ -35,7 +36,7 @@ def confirmed(s: State, vehicle: Vehicle, linearised: Linearised, samples: Array
     sigma = np.sqrt(np.diag(H @ P @ H.T))
     if not ((sigma < KNOWN) & (np.abs(linearised.z_minus_h) <= SIGMAS * sigma)).all():
         return False
-    if len(samples) < vehicle.constants[0]["rate"] / 2.0:
+    if len(samples) < vehicle.constants[0]["rate"] * WINDOW_NS / NS / 2.0:
         return False
     std_f, std_w = (
         float(np.sqrt(np.diag(P[at, at]).max())) for at in (ACCELEROMETER_BIAS, GYROSCOPE_BIAS)
