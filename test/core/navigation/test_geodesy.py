@@ -254,7 +254,9 @@ def test_an_initial_state_far_from_the_origin_comes_out_as_it_went_in(velocity_f
     filter_ = Filter(
         build(
             FilterParameters,
-            TOLD | {"frame_convention": "ned", "origin.latitude_deg": 75.0, "error_state": "ned"},
+            TOLD
+            | TOLD
+            | {"frame_convention": "ned", "origin.latitude_deg": 75.0, "error_state": "ned"},
         )
     )
     rng, state = np.random.default_rng(3), filter_.empty()
@@ -327,6 +329,7 @@ def test_a_vehicle_that_sails_to_the_pole_is_held_and_says_so(model, sign):
         build(
             FilterParameters,
             TOLD
+            | TOLD
             | {
                 "frame_convention": "ned",
                 "error_state": model,
@@ -364,7 +367,10 @@ def test_the_largest_latitude_itself_may_be_the_origin(lat_deg):
 @pytest.mark.parametrize("position", [(0.0, 6e4, 0.0), (8e5, 8e5, 0.0)])
 def test_parameters_that_start_at_no_place_are_refused(position):
     with pytest.raises(ParameterError, match=r"initial\.position.*1000 km.*89\.5 deg"):
-        build(FilterParameters, TOLD | {"origin.latitude_deg": 89.0, "initial.position": position})
+        build(
+            FilterParameters,
+            TOLD | {"origin.latitude_deg": 89.0, "initial.position": position},
+        )
 
 
 @pytest.mark.parametrize("p_o", [(2e6, 0.0, 0.0), (60_000.0, 0.0, 0.0)])

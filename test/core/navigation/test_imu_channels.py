@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from records import P15
+from told import TOLD
 
 from insdvl.navigation.coordinates import body_velocity_jacobian
 from insdvl.navigation.events import Event, Imu, Initial
@@ -333,7 +334,7 @@ def test_the_velocity_is_covered_while_a_channel_is_frozen(rate: float, channel:
 @pytest.mark.parametrize(("name", "most"), [("acceleration_range", 10000), ("rate_range", 1000)])
 def test_a_range_is_not_negative(name: str, most: int) -> None:
     with pytest.raises(ParameterError, match=f"'imu.{name}' must be >= 0 and <= {most}, got -1.0"):
-        build(FilterParameters, {f"imu.{name}": -1.0})
+        build(FilterParameters, TOLD | {f"imu.{name}": -1.0})
 
 
 def test_a_duplicate_that_wins_brings_its_reading() -> None:
