@@ -134,6 +134,30 @@ def test_what_came_of_gyrocompassing_is_told() -> None:
     assert "as they are told its sigma would be" in status.message
 
 
+def test_an_unknown_heading_is_told_with_what_tells_it() -> None:
+    f = Filter(**{"initial.mode": "auto"})
+    assert "for a DVL velocity or for motion" in f.look()["initialisation"].message
+    f.samples(1, 150)
+    assert "not initialised" in f.look()["initialisation"].message  # at rest, without a DVL
+    f.dvl(START_NS + 2 * NS)
+    f.samples(150, 400)
+    for _ in range(3):
+        f.silence["imu/data_raw"] = 0.0
+        status = f.look()["initialisation"]
+        assert status.level == WARN
+        assert "heading unknown, one sigma 100 deg" in status.message
+        assert "set initial.mode:=topic where initial.topic" in status.message
+
+
+def test_a_bias_beyond_its_sigma_is_told() -> None:
+    f = Filter(**{"initial.accelerometer_bias_std": 1e-6})
+    f.samples(1, 100)
+    state = f.fold._samples.states[f.fold._samples.count - 1]
+    state["nav"]["b_f"][1] = 0.01
+    status = f.look()["initialisation"]
+    assert status.level == WARN and "accelerometer bias y is 0.01 m/s^2" in status.message
+
+
 def test_a_motion_that_ended_gyrocompassing_is_told_until_the_reset() -> None:
     parameters = {
         "initial.mode": "gyrocompassing",
