@@ -7,8 +7,8 @@ from told import TOLD
 
 from insdvl.messages.feed import Feed
 from insdvl.messages.refusals import Refused
-from insdvl.messages.topics import DVL, IMU
-from insdvl.navigation.events import NS, Imu, ProcessNoise
+from insdvl.messages.topics import DVL, IMU, SET_ODOMETRY
+from insdvl.navigation.events import NS, Imu, Orientation, ProcessNoise
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build
 from insdvl.recordings.messages import imu_message, odometry_message, twist_message
@@ -88,3 +88,20 @@ def test_after_a_time_jump_and_a_reset_the_initial_topic_is_taken_again() -> Non
 
 def test_a_key_of_a_refusal_has_one_text() -> None:
     assert str(Refused(DVL, "too_late")) == f"{Refused(DVL, 'too_late')}" == f"{DVL}: too_late"
+
+
+def test_the_orientation_of_an_imu_is_taken_until_the_filter_has_started() -> None:
+    """A measured one; set_odometry starts the filter, max_delay after that nobody needs it."""
+    feed = Feed(build(FilterParameters, {"max_delay": 0.1}))
+    taken = []
+    for k in range(40):
+        message = sample(START_NS + k * NS // 100)
+        message.orientation_covariance = np.diag([0.01, 0.01, 0.04]).ravel()
+        taken.append(any(isinstance(fed.event, Orientation) for fed in feed.give(IMU, message)))
+        if k == 10:
+            feed.give(SET_ODOMETRY, odometry(START_NS + k * NS // 100))
+        feed.fold.take()
+    assert all(taken[:20]) and not any(taken[25:])
+    told = Feed(build(FilterParameters, TOLD))
+    message.orientation_covariance = np.diag([0.01, 0.01, 0.04]).ravel()
+    assert len(told.give(IMU, message)) == 1
