@@ -6,8 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from insdvl.arrays import Array
+from insdvl.messages.topics import FIX, IMU, SET_ODOMETRY
 from insdvl.navigation.error_state import ATTITUDE
 from insdvl.navigation.filter import Filter
+from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.start import automatic, gyrocompass
 from insdvl.navigation.start.parameters import InitialParameters
 from insdvl.navigation.state import State
@@ -80,6 +82,25 @@ def report_of_start(filter_: Filter, s: State) -> Report:
         return Report(text, "")
     remedy = REMEDY.format(topic=initial.topic)
     return Report(text, f"heading unknown, one sigma {math.degrees(now):.3g} deg{why}: {remedy}")
+
+
+def waits_for(parameters: FilterParameters) -> str:
+    """What a filter that has not started waits for."""
+    initial = parameters.initial
+    text = {
+        "auto": f"{initial.levelling_time:g} s of IMU samples whose specific force is gravity, and "
+        "for a DVL velocity or for motion",
+        "parameters": "the first IMU sample",
+        "levelling": f"{initial.levelling_time:g} s of IMU samples at rest",
+        "gyrocompassing": f"{initial.gyrocompass_time:g} s of IMU samples at rest",
+        "topic": f"a message on {initial.topic}",
+        "set_odometry": f"a message on {SET_ODOMETRY}",
+    }[initial.mode]
+    if initial.heading == "imu":
+        text += f", with an orientation in {IMU} whose covariance[0] is not -1"
+    if parameters.origin.source == "topic":
+        text += f" and a fix on {FIX}"
+    return text
 
 
 def _told(s: State, initial: InitialParameters) -> Report:

@@ -210,6 +210,19 @@ def test_on_a_stand_a_fog_finds_the_heading_and_carries_it_to_the_water() -> Non
     assert sigmas(s, ATTITUDE)[2] < sigma
 
 
+@pytest.mark.parametrize(("grade", "largest_deg"), [(FOG, 0.2), (TACTICAL, 7.0)])
+def test_a_minute_on_a_stand_tells_the_heading(grade: Grade, largest_deg: float) -> None:
+    """In a tank, where the DVL shows a velocity of zero: it waits until the minute is over."""
+    stamps_ns, f_b, w_ib_b, _ = at_rest(grade, 62.0)
+    result = fold_arrays(settings(grade), stamps_ns, f_b, w_ib_b, pings(stamps_ns, (0.0,) * 3))
+    s = first_of(result)
+    assert s["start"]["heading_from"] == automatic.GYROCOMPASS
+    assert 60.0 <= (s["nav"]["time_ns"] - stamps_ns[0]) / NS < 62.0
+    sigma = sigmas(s, ATTITUDE)[2]
+    assert sigma < np.radians(largest_deg)
+    assert abs(error_of(s, rotation_from_rpy(np.array(RPY)))[2]) < 3.0 * sigma
+
+
 def test_a_float_that_rocks_has_no_heading() -> None:
     stamps_ns, f_b, w_ib_b, _ = at_rest(FOG, 3.0)
     rocked(stamps_ns, f_b, w_ib_b, after=0.0)

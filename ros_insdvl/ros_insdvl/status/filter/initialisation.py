@@ -1,14 +1,14 @@
 """The cause `initialisation`: what the filter waits for, and initial states that it cannot use."""
 
 from insdvl.messages.inputs import Inputs
-from insdvl.messages.topics import FIX, IMU, SET_ODOMETRY
+from insdvl.messages.topics import FIX, SET_ODOMETRY
 from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.earth import MAX_LATITUDE_DEG
 from insdvl.navigation.geometry.odom import MAX_FROM_ORIGIN
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.state import State
 from insdvl.timeline.fold import Fold
-from insdvl.watch.start import large_biases, report_of_start
+from insdvl.watch.start import large_biases, report_of_start, waits_for
 from ros_insdvl.status.diagnostics import RECENT, WARN, Status, View
 from ros_insdvl.status.filter.base import Cause, Published
 
@@ -43,7 +43,9 @@ class Initialisation(Cause):
         status = Status("initialisation", "initialised")
         first_ns, latest = self._published.first_ns, self._fold.latest
         if latest is None:
-            status.complain(WARN, "waits", f"not initialised, waits for {self._waits_for}")
+            status.complain(
+                WARN, "waits", f"not initialised, waits for {waits_for(self._parameters)}"
+            )
         elif first_ns is not None:
             status.summary = f"initialised, first output at stamp {first_ns / NS:.3f} s"
         if latest is not None:
@@ -70,29 +72,3 @@ class Initialisation(Cause):
             status.complain(WARN, "heading", report.missing)
         for text in large_biases(self._fold.filter, latest):
             status.complain(WARN, "bias", text)
-
-    @property
-    def _automatic_waits_for(self) -> str:
-        """What the mode 'auto' waits for: a vehicle at rest need not be navigated yet."""
-        initial = self._parameters.initial
-        text = f"{initial.levelling_time:g} s of IMU samples whose specific force is gravity, then "
-        text += "for a DVL velocity or for motion"
-        if initial.heading == "imu":
-            text += f", with an orientation in {IMU} whose covariance[0] is not -1"
-        return text
-
-    @property
-    def _waits_for(self) -> str:
-        """What an uninitialised filter waits for."""
-        initial = self._parameters.initial
-        waits_for = {
-            "auto": self._automatic_waits_for,
-            "parameters": "the first IMU sample",
-            "levelling": f"{initial.levelling_time:g} s of IMU samples at rest",
-            "gyrocompassing": f"{initial.gyrocompass_time:g} s of IMU samples at rest",
-            "topic": f"a message on {initial.topic}",
-            "set_odometry": f"a message on {SET_ODOMETRY}",
-        }[initial.mode]
-        if self._parameters.origin.source == "topic":
-            waits_for += f" and a fix on {FIX}"
-        return waits_for

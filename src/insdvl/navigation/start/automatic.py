@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array
 from insdvl.navigation.events import NS, Imu, Initial
+from insdvl.navigation.geometry import odom
 from insdvl.navigation.geometry.earth import EARTH_RATE, gravity
 from insdvl.navigation.geometry.frames import rotation_from_rpy
 from insdvl.navigation.start import gyrocompass, rest
@@ -127,14 +128,15 @@ class Automatic:
         start["kept_ns"], start["kept_speed"] = initial.stamp_ns, np.hypot.reduce(initial.v)
 
     def carry(self, s: State, sample: Imu) -> None:
-        """Turn the told heading on by a sample; a gap makes it less certain."""
+        """Turn the told heading on by a sample; in a gap it becomes less certain instead."""
         start, c = s["start"], self._constants
         if start["told_ns"] == NEVER or sample.stamp_ns <= start["told_ns"]:
             return
         seconds = (sample.stamp_ns - int(start["told_ns"])) / NS
-        start["told_C"] = start["told_C"] @ turned((sample.w_ib_b - self._bias[3:]) * seconds)
         if seconds * NS > c["gap_ns"]:
             start["told_std"] = np.hypot(start["told_std"], c["gap_w"] * seconds)
+        else:
+            start["told_C"] = start["told_C"] @ turned((sample.w_ib_b - self._bias[3:]) * seconds)
         start["told_std"] += (self._parameters.gyroscope_bias_std + EARTH_RATE) * seconds
         start["told_ns"] = sample.stamp_ns
 
@@ -197,7 +199,8 @@ class Automatic:
         if choice == "imu":
             return None
         if choice == "parameters":
-            return _Heading(PARAMETERS, self._parameters.heading_std, self._initial.C_o_b)
+            C = _to_local(s, self._initial.p_o) @ self._initial.C_o_b
+            return _Heading(PARAMETERS, self._parameters.heading_std, C)
         if choice != "unknown" and self._constants["earth_rate"]:
             if start["compass"] == gyrocompass.UNDECIDED:
                 self._compass(s, stamp_ns, window, noise, times)
@@ -277,6 +280,13 @@ class Automatic:
             return self._initial.p_o, self._initial.P_p
         path = start["kept_speed"] * (stamp_ns - int(start["kept_ns"])) / NS
         return start["kept_p"].copy(), start["kept_P"] + np.eye(3) * path**2
+
+
+def _to_local(s: State, p_o: Array) -> Array:
+    """Rotation (3, 3) from odom's axes to north, east and down at a position (3,) in odom."""
+    origin = np.array([s["nav"][name] for name in ("lat_0", "lon_0", "h_0")])
+    place = odom.place_of(p_o, origin)
+    return np.eye(3) if place is None else np.asarray(odom.jacobian(place, origin)[1].T)
 
 
 def _window(s: State) -> Window:
