@@ -339,7 +339,7 @@ def test_the_start_depends_on_stamps_alone() -> None:
     fold = Fold(settings(TACTICAL))
     for k in np.argsort(arrival):
         assert fold.add(events[k]) is None
-        if k % 20 == 0:
+        if k % 50 == 0:
             fold.take()
     assert fold.states[-1].tobytes() == whole.states[-1].tobytes()
 

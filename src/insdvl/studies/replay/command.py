@@ -91,8 +91,8 @@ def _replay(arguments: argparse.Namespace) -> None:
     replayed = fold_recording(recording, filter_)
     if not replayed.initialised.size:
         raise BagError(
-            f"the filter was never initialised (initial.mode {filter_.initial.mode!r}): it waits for "
-            f"{waits_for(filter_)}"
+            f"the filter was never initialised (initial.mode {filter_.initial.mode!r}): it waits "
+            f"for {waits_for(filter_)}"
         )
     document = report(recording, replayed)
     document |= {
