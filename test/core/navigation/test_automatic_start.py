@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array
+from insdvl.navigation.coordinates import body_velocity_jacobian
 from insdvl.navigation.error_state import ATTITUDE, GYROSCOPE_BIAS, VELOCITY
 from insdvl.navigation.events import NS, Event, Imu, Initial, Orientation
 from insdvl.navigation.geometry.earth import EARTH_RATE, gravity
@@ -16,6 +17,7 @@ from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.start import automatic
 from insdvl.navigation.state import State
 from insdvl.parameters.declaration import ParameterError, build
+from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.grades import GRADES, Grade
 from insdvl.simulation.mission import simulate
 from insdvl.simulation.noise import constant
@@ -126,6 +128,44 @@ def test_under_way_it_starts_with_the_velocity_of_the_dvl_and_an_unknown_heading
         assert np.abs(v_b - truth.C_n_b[k].T @ truth.v_n[k]).max() < 0.4
     refused = [u.report.reason for u in result.updates if not u.report.accepted]
     assert set(refused) <= {"not_initialised"}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", GRADES)
+def test_a_start_under_way_is_as_good_as_it_says(name: str) -> None:
+    """NEES of body velocity, tilt and biases over 30 runs: inside 1 +- 4 sigma, or below it."""
+    grade, runs = GRADES[name], 30
+    parameters = settings(grade, **{"origin.latitude_deg": float(np.degrees(AUV.lat_0))})
+    squares: dict[str, list[float]] = {"velocity": [], "tilt": [], "biases": []}
+    dof = {"velocity": 3, "tilt": 2, "biases": 6}
+    for run in range(runs):
+        mission = simulate(
+            AUV,
+            constant(grade.variances()),
+            seed=SEED + run,
+            duration=200.0,
+            imu=grade.imu(),
+            dvl=DvlModel(noise_std=np.full(3, DVL_STD)),
+            start_ns=NS,
+        )
+        events = [
+            Dvl(int(ns), v_d) for ns, v_d in zip(mission.dvl_stamps_ns, mission.v_d, strict=True)
+        ]
+        result = fold_arrays(parameters, mission.stamps_ns, mission.f_b, mission.w_ib_b, events)
+        nav, truth = result.states[-1]["nav"], mission.truth
+        C, C_true, P = nav["C_n_b"], truth.C_n_b[-1], nav["P"][:15, :15]
+        H = body_velocity_jacobian(C, nav["v_n"], invariant=True, n=15)
+        e = C_true.T @ truth.v_n[-1] - C.T @ nav["v_n"]
+        squares["velocity"].append(e @ np.linalg.solve(H @ P @ H.T, e))
+        down = C @ (C_true[2] - C[2])  # -(psi x d)
+        e = np.array([down[1], -down[0]])
+        squares["tilt"].append(e @ np.linalg.solve(P[3:5, 3:5], e))
+        e = mission.bias[-1] - np.concatenate([nav["b_f"], nav["b_w"]])
+        squares["biases"].append(e @ np.linalg.solve(P[6:12, 6:12], e))
+    for block, values in squares.items():
+        n = dof[block]
+        assert np.mean(values) / n < 1.0 + 4.0 * np.sqrt(2.0 / (n * runs)), block
+        assert np.mean(values) / n > 0.3, block  # not far too careful either
 
 
 def test_an_unknown_velocity_is_set_by_the_first_measurement() -> None:
