@@ -200,6 +200,21 @@ def test_at_rest_it_waits_for_a_velocity_or_for_motion() -> None:
     assert not waits.states["nav"]["initialised"].any()
 
 
+def test_what_only_vibrates_is_waited_for_but_is_no_rest() -> None:
+    """Five times the told noise: no way is made, and tilt and bias are not those of a rest."""
+    stamps_ns, f_b, w_ib_b, _ = at_rest(TACTICAL, 4.0)
+    rng = np.random.default_rng([SEED, 3])
+    sigma = 5.0 * np.sqrt(TACTICAL.variances(float(RATE)))
+    f_b += sigma[:3] * rng.standard_normal(f_b.shape)
+    w_ib_b += sigma[3:] * rng.standard_normal(f_b.shape)
+    waits = fold_arrays(settings(TACTICAL), stamps_ns, f_b, w_ib_b, [])
+    assert not waits.states["nav"]["initialised"].any()
+    events = pings(stamps_ns, (0.0,) * 3)
+    s = first_of(fold_arrays(settings(TACTICAL), stamps_ns, f_b, w_ib_b, events))
+    assert not s["start"]["at_rest"]
+    assert s["start"]["tilt_std"] > np.radians(2.0)
+
+
 def test_the_covariance_of_a_start_at_rest_is_that_of_its_errors() -> None:
     """Tilt and gyroscope bias of a MEMS over many biases, 5 states: the mean NEES is 5 +- 4 sigma.
 

@@ -78,6 +78,12 @@ def test_zeros_after_a_lost_lock_at_1_m_s_are_refused() -> None:
     assert set(reasons(result)[19:]) == {"no_lock"}
 
 
+def test_zeros_after_a_lost_lock_at_a_crawl_are_refused() -> None:
+    """At 0.2 m/s the sigma may grow until zero is within three of it, and is still no rest."""
+    result = flown(90, speed=0.2, lock_until=20)
+    assert set(reasons(result)[19:]) == {"no_lock"}
+
+
 def test_a_velocity_that_is_not_known_does_not_take_zeros() -> None:
     assert set(reasons(flown(20, velocity_std=0.15))) == {"no_lock"}
 

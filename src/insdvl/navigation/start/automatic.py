@@ -156,16 +156,15 @@ class Automatic:
         start, nav = s["start"], s["nav"]
         window = _window(s)
         g = gravity(nav["lat_0"], nav["h_0"])
-        times = rest.misfit_to_rest(window, self._bias, noise, g)
-        velocity = self._velocity(s, stamp_ns)
+        misfit = rest.misfit_to_rest(window, self._bias, noise, g)
+        velocity, motion = self._velocity(s, stamp_ns), misfit.motion
         if velocity is not None:
-            v, P = velocity
-            times = max(times, _times_of_zero(v, P))
-        moves = times > 1.0
+            motion = max(motion, _times_of_zero(*velocity))
+        times = max(misfit.spread, motion)
         heading = self._heading(s, stamp_ns, window, noise, times)
-        if heading is None or not (moves or velocity is not None):
+        if heading is None or (velocity is None and motion <= 1.0):
             return None
-        seconds = (stamp_ns - int(start["level_ns"])) / NS
+        seconds, moves = (stamp_ns - int(start["level_ns"])) / NS, times > 1.0
         attitude = self._attitude(s, window, noise, heading, moves, seconds)
         P_psi = attitude.P[:3, :3]
         start["heading_from"], start["heading_std"] = heading.source, np.sqrt(P_psi[2, 2])

@@ -20,6 +20,7 @@ from insdvl.navigation.start.gyrocompass import Noise
 FALSE_ALARM = 1e-3
 #: One sigma of a steady motion that none of the tests shows: acceleration [m/s^2], rate [rad/s].
 UNSEEN_ACCELERATION, UNSEEN_RATE = 0.05, 2e-4
+_TRIADS = slice(0, 3), slice(3, 6)
 #: Least number of samples in each half of a window.
 LEAST_SAMPLES = 5
 
@@ -56,11 +57,31 @@ def window_of(samples: Array) -> Window:
     return Window((half, len(samples) - half), sums, samples.T @ samples)
 
 
-def misfit_to_rest(window: Window, bias: Array, noise: Noise, g: float) -> float:
-    """How many times larger than chance the worst misfit to rest is; at most 1 at rest.
+@dataclass(frozen=True)
+class Misfit:
+    """How many times larger than chance the misfits to a vehicle at rest are; at most 1 at rest.
 
-    Four chi-square tests: the spread of the samples, the step between the halves of the window, the
-    mean rate, and the size of the mean specific force.
+    Attributes:
+        spread: Of the samples about their mean: larger than 1 where the vehicle vibrates more than
+            the told noise says.
+        motion: The worst of three that show a motion, beside such a vibration.
+    """
+
+    spread: float
+    motion: float
+
+    @property
+    def worst(self) -> float:
+        """Of both."""
+        return max(self.spread, self.motion)
+
+
+def misfit_to_rest(window: Window, bias: Array, noise: Noise, g: float) -> Misfit:
+    """Four chi-square tests of a window of samples.
+
+    The spread of the samples; the step between the halves of the window, the mean rate, and the
+    size of the mean specific force. For the last three the noise of each triad is as large as its
+    samples spread, at least as told.
 
     Args:
         window: The samples.
@@ -69,25 +90,33 @@ def misfit_to_rest(window: Window, bias: Array, noise: Noise, g: float) -> float
         g: Gravity [m/s^2].
     """
     if min(window.counts) < LEAST_SAMPLES:
-        return np.inf
+        return Misfit(np.inf, np.inf)
     n, mean = window.count, window.mean
-    spread = window.products - n * np.outer(mean, mean)
-    R = noise.of_mean(1.0, 0.0)
-    misfits = [float(np.trace(np.linalg.solve(R, spread))) / chi_square_limit(6 * (n - 1))]
     early, late = window.counts
+    S = window.products - n * np.outer(mean, mean)
+    R = noise.of_mean(1.0, 0.0)
+    # The two triads are independent in R.
+    squares = [float(np.trace(np.linalg.solve(R[at, at], S[at, at]))) for at in _TRIADS]
+    for at, square in zip(_TRIADS, squares, strict=True):
+        R[at, at] *= max(1.0, square / (3 * (n - 1)))
     step = window.sums[1] / late - window.sums[0] / early
-    of_step = R * (1.0 / early + 1.0 / late)
-    misfits.append(float(step @ np.linalg.solve(of_step, step)) / chi_square_limit(6))
-    of_mean = noise.of_mean(n, 0.0) + noise.of_biases()
+    of_mean = R / n + noise.of_biases()
     rate = mean[3:] - bias[3:]
     of_rate = of_mean[3:, 3:] + np.eye(3) * EARTH_RATE**2
-    misfits.append(float(rate @ np.linalg.solve(of_rate, rate)) / chi_square_limit(3))
     force = mean[:3] - bias[:3]
     size = float(np.hypot.reduce(force))  # cannot overflow
     along = force / size if size else np.zeros(3)
     of_size = float(along @ of_mean[:3, :3] @ along)
-    misfits.append((size - g) ** 2 / of_size / chi_square_limit(1) if of_size else np.inf)
-    return max(misfits)
+    motions = (
+        _square(step, R * (1.0 / early + 1.0 / late)) / chi_square_limit(6),
+        _square(rate, of_rate) / chi_square_limit(3),
+        (size - g) ** 2 / of_size / chi_square_limit(1) if of_size else np.inf,
+    )
+    return Misfit(sum(squares) / chi_square_limit(6 * (n - 1)), max(motions))
+
+
+def _square(x: Array, P: Array) -> float:
+    return float(x @ np.linalg.solve(P, x))
 
 
 @dataclass(frozen=True)

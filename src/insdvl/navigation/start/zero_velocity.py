@@ -17,8 +17,8 @@ from insdvl.navigation.state import State
 
 #: The samples of this time [ns] before the measurement have to show a vehicle at rest.
 WINDOW_NS = 500_000_000
-#: One sigma of each component of the filter's own velocity is below this [m/s], and each component
-#: within so many sigma of zero.
+#: Each component of the filter's own velocity, and one sigma of it, is below this [m/s], and the
+#: component within so many sigma of zero.
 KNOWN, SIGMAS = 0.1, 3.0
 
 
@@ -34,7 +34,8 @@ def confirmed(s: State, vehicle: Vehicle, linearised: Linearised, samples: Array
     nav, n = s["nav"], vehicle.n
     P, H = nav["P"][:n, :n], linearised.H
     sigma = np.sqrt(np.diag(H @ P @ H.T))
-    if not ((sigma < KNOWN) & (np.abs(linearised.z_minus_h) <= SIGMAS * sigma)).all():
+    largest = np.minimum(SIGMAS * sigma, KNOWN)
+    if not ((sigma < KNOWN) & (np.abs(linearised.z_minus_h) <= largest)).all():
         return False
     if len(samples) < vehicle.constants[0]["rate"] * WINDOW_NS / NS / 2.0:
         return False
@@ -44,4 +45,4 @@ def confirmed(s: State, vehicle: Vehicle, linearised: Linearised, samples: Array
     bias = np.concatenate([nav["b_f"], nav["b_w"]])
     noise = noise_of(s, vehicle.constants[0], std_f, std_w)
     g = gravity(nav["llh"][0], nav["llh"][2])
-    return rest.misfit_to_rest(rest.window_of(samples), bias, noise, g) <= 1.0
+    return rest.misfit_to_rest(rest.window_of(samples), bias, noise, g).worst <= 1.0
