@@ -23,8 +23,9 @@ from insdvl.navigation.events import NS, Event, Imu, Initial, Origin, ProcessNoi
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.odometry import odometry
 from insdvl.navigation.parameters import FilterParameters
-from insdvl.parameters.declaration import build
+from insdvl.parameters.declaration import build, flatten
 from insdvl.simulation.dvl import DvlModel
+from insdvl.simulation.initial_errors import P_0
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import SCENARIOS, constant
 from insdvl.simulation.trajectories import trajectory_named
@@ -62,7 +63,8 @@ def fly(
     if change is not None:
         events = list(change(mission, z) or events) if change is not None else events
     kept = np.isfinite(z).all(axis=1)
-    values = {"frame_convention": "ned", "initial.mode": "set_odometry", **settings}
+    told = flatten(P_0, "initial.") | {"initial.mode": "set_odometry"}
+    values = {"frame_convention": "ned", **told, **settings}
     return fold_arrays(
         build(FilterParameters, values),
         mission.stamps_ns[kept],
@@ -145,7 +147,8 @@ def interleaved() -> FoldResult:
     mission = simulate(
         trajectory_named("auv"), constant(np.full(6, 1e-4)), seed=SEED, duration=30.0
     )
-    values = {"frame_convention": "ned", "initial.mode": "set_odometry", "max_delay": 0.5}
+    told = flatten(P_0, "initial.") | {"initial.mode": "set_odometry"}
+    values = {"frame_convention": "ned", **told, "max_delay": 0.5}
     fold = Fold(build(FilterParameters, values))
     rng = np.random.default_rng(SEED)
     for shift in (100 * NS, 5000 * NS):

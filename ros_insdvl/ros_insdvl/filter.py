@@ -33,6 +33,7 @@ from insdvl.timeline.jumps import TimeJump
 from insdvl.timeline.output import AppliedUpdate
 from insdvl.timeline.state_file import StateFile
 from insdvl.watch.alignment import FrameCheck
+from insdvl.watch.start import report_of_start
 from ros_insdvl.conversions import message_class
 from ros_insdvl.execution import run_node
 from ros_insdvl.node import InsdvlNode
@@ -53,7 +54,11 @@ def compile_kernels(parameters: FilterParameters) -> None:
         replace(
             parameters,
             initial=replace(
-                parameters.initial, mode="parameters", velocity_std=100.0, tilt_std=0.1
+                parameters.initial,
+                mode="parameters",
+                heading="auto",
+                velocity_std=100.0,
+                tilt_std=0.1,
             ),
             origin=replace(parameters.origin, source="parameters"),
             imu=replace(parameters.imu, frozen_samples=2),
@@ -111,6 +116,7 @@ class FilterNode(InsdvlNode[FilterParameters]):
         }
 
         self._slow_second: int | None = None
+        self._start_told = False
         self.create_service(Trigger, "~/reset", self._reset)
         self._mistyped: set[str] = set()  # topics of which no publisher has an accepted type
         self._listen()
@@ -213,6 +219,10 @@ class FilterNode(InsdvlNode[FilterParameters]):
         )
         self._odometry.send(self._odometry_message)
         self._watch.published(output, self.get_clock().now().nanoseconds)
+        if not self._start_told and (latest := self._fold.latest) is not None:
+            self._start_told = True
+            if text := report_of_start(self._fold.filter, latest).text:
+                self.get_logger().info(f"started: {text}")
         second = output.stamp_ns // NS
         state = self._fold.latest  # none where the output is the last of a time that was left
         if second != self._slow_second and state is not None:
@@ -242,6 +252,7 @@ class FilterNode(InsdvlNode[FilterParameters]):
     def _begin_time(self) -> None:
         """Forget what is kept here by stamps."""
         self._slow_second = None
+        self._start_told = False
         self._watch.reset()
         self._listen()
 
@@ -263,13 +274,15 @@ class FilterNode(InsdvlNode[FilterParameters]):
         self._innovations[name].send(message)
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._feed.reset()
+        is_kept = self._feed.reset()
         self._begin_time()
         if self._state_file is not None:
             self._state_file.remove()
-        self.get_logger().info("reset: the filter is uninitialised; odom's origin stays as it is")
+        kept = "are kept, with their covariance" if is_kept else "are not kept"
         response.success = True
         response.message = f"uninitialised; initial.mode is {self.parameters.initial.mode}"
+        response.message += f"; heading and position {kept}"
+        self.get_logger().info(f"reset: {response.message}; odom's origin stays as it is")
         return response
 
     # Diagnostics

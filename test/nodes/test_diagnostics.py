@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from told import TOLD
 
 from insdvl.messages.inputs import Inputs
 from insdvl.messages.refusals import Refused
@@ -32,7 +33,7 @@ class Filter:
     """A filter's watch, the fold that it looks at, and a clock."""
 
     def __init__(self, **parameters: Any) -> None:
-        self.parameters = build(FilterParameters, parameters)
+        self.parameters = build(FilterParameters, TOLD | parameters)
         self.fold = Fold(self.parameters)
         self.inputs = Inputs(self.parameters)
         self.watch = FilterWatch(self.parameters, self.inputs, self.fold)
@@ -132,6 +133,30 @@ def test_what_came_of_gyrocompassing_is_told() -> None:
     assert status.level == WARN
     assert "heading as told, one sigma 1 deg: no gyrocompassing" in status.message
     assert "as they are told its sigma would be" in status.message
+
+
+def test_an_unknown_heading_is_told_with_what_tells_it() -> None:
+    f = Filter(**{"initial.mode": "auto"})
+    assert "for a DVL velocity or for motion" in f.look()["initialisation"].message
+    f.samples(1, 150)
+    assert "not initialised" in f.look()["initialisation"].message  # at rest, without a DVL
+    f.dvl(START_NS + 2 * NS)
+    f.samples(150, 400)
+    for _ in range(3):
+        f.silence["imu/data_raw"] = 0.0
+        status = f.look()["initialisation"]
+        assert status.level == WARN
+        assert "heading unknown, one sigma 100 deg" in status.message
+        assert "set initial.mode:=topic where initial.topic" in status.message
+
+
+def test_a_bias_beyond_its_sigma_is_told() -> None:
+    f = Filter(**{"initial.accelerometer_bias_std": 1e-6})
+    f.samples(1, 100)
+    state = f.fold._samples.states[f.fold._samples.count - 1]
+    state["nav"]["b_f"][1] = 0.01
+    status = f.look()["initialisation"]
+    assert status.level == WARN and "accelerometer bias y is 0.01 m/s^2" in status.message
 
 
 def test_a_motion_that_ended_gyrocompassing_is_told_until_the_reset() -> None:
@@ -288,7 +313,7 @@ def test_a_silent_imu_is_an_error_until_it_comes_back() -> None:
 
 def expected_and_arrived(stamps: Any, **parameters: Any) -> tuple[int, int]:
     """What is counted of stamps in steps of 10 ms, in the order in which they arrive."""
-    samples = ExpectedSamples(build(FilterParameters, parameters))
+    samples = ExpectedSamples(build(FilterParameters, TOLD | parameters))
     for stamp in stamps:
         samples.add(START_NS + round(float(stamp) * NS / 100))
     return samples.expected, samples.arrived

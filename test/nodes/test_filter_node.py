@@ -25,6 +25,7 @@ from ros_messages import (
 )
 from sensor_msgs.msg import Imu, NavSatFix, NavSatStatus
 from std_srvs.srv import Trigger
+from told import TOLD
 
 from insdvl import files
 from insdvl.messages import convert as messages
@@ -47,6 +48,8 @@ NODE = "/auv/insdvl_filter"
 START_NS = 1_700_000_000_250_000_000
 Q_F, Q_W = (0.04, 0.01, 0.02), (0.002, 0.004, 0.001)
 
+#: The filter starts at the first sample, unless a test says otherwise.
+STARTED = {n: v for n, v in TOLD.items() if n == "initial.mode" or n.endswith("_std")}
 INPUTS = {
     "imu/data_raw": Imu,
     "dvl/velocity": TwistStamped,
@@ -98,7 +101,7 @@ def offline(parameters: dict[str, Any], sent: list[tuple[str, Any]]) -> list[Any
     convert = {"dvl/velocity": messages.dvl, "process_noise": messages.process_noise}
     events = [convert[topic](m, ENU) for topic, m in sent if topic in convert]
     result = fold_arrays(
-        build(FilterParameters, parameters),
+        build(FilterParameters, TOLD | parameters),
         np.array([s.stamp_ns for s in samples]),
         np.array([s.f_b for s in samples]),
         np.array([s.w_ib_b for s in samples]),
@@ -113,7 +116,9 @@ class FilterGraph(Graph):
     def __init__(self, **parameters: Any) -> None:
         super().__init__("/auv")
         topics = ("imu/data_raw", "dvl/velocity", "dvl/velocity_cov", "start", "gps/fix")
-        self.filter = self.make(FilterNode, **{**reliable("/auv", *topics), **parameters})
+        self.filter = self.make(
+            FilterNode, **{**reliable("/auv", *topics), **STARTED, **parameters}
+        )
         self.received = {topic: self.keep(kind, topic) for topic, kind in OUTPUTS.items()}
         self.publishers = {
             topic: self.peer.create_publisher(INPUTS[topic], topic, RELIABLE)
@@ -449,7 +454,9 @@ def late_compilations(values):
     compiled = signatures()
     assert compiled
     fold, check, rng = Fold(parameters), FrameCheck(parameters), np.random.default_rng(1)
-    events = [Initial(NS + 1, np.eye(3), np.zeros(3), np.zeros(3), "body")]
+    events = []
+    if "initial.heading" not in values:  # else the filter starts by itself
+        events.append(Initial(NS + 1, np.eye(3), np.zeros(3), np.zeros(3), "body"))
     for k in range(100, 3000):
         noise = 0.1 * rng.standard_normal(6)
         if 500 < k < 800:
@@ -470,7 +477,7 @@ def late_compilations(values):
     return sorted({name for name, _ in signatures() - compiled})
 
 # What the first filter compiles too late, and the second needs as well, is found with the first.
-for values in ({}, {"dvl.bias_model": "gauss_markov"}):
+for values in ({}, {"dvl.bias_model": "gauss_markov"}, {"initial.heading": "unknown"}):
     print(values, late_compilations(values))
 """
 
@@ -481,7 +488,7 @@ def test_nothing_is_compiled_while_it_navigates() -> None:
         [sys.executable, "-c", COMPILED], capture_output=True, text=True, check=False
     )
     assert child.returncode == 0, child.stderr
-    assert [line.split()[-1] for line in child.stdout.splitlines()] == ["[]", "[]"]
+    assert [line.split()[-1] for line in child.stdout.splitlines()] == ["[]"] * 3
 
 
 def test_late_set_odometry_moves_the_filter(graph: Any) -> None:
@@ -574,16 +581,37 @@ def test_reset_starts_again(graph: Any) -> None:
     g.send(start, *imu_run(1, 4))
     assert len(g.odometry()) == 3
 
-    def reset() -> None:
-        assert g.call(Trigger, "insdvl_filter/reset", Trigger.Request()).success
+    def reset() -> str:
+        response = g.call(Trigger, "insdvl_filter/reset", Trigger.Request())
+        assert response.success
+        return str(response.message)
 
-    reset()
+    assert "heading and position are not kept" in reset()
     g.send(*imu_run(4, 6))
     assert len(g.odometry()) == 3
     reset()
     g.send(start, *imu_run(1, 4))  # a recording that begins again
     first, second = g.odometry()[:3], g.odometry()[3:]
     assert [numbers(m).tolist() for m in second] == [numbers(m).tolist() for m in first]
+
+
+def test_a_reset_of_the_default_mode_keeps_heading_and_position(
+    graph: Any, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """It starts again on the next motion; the DVL says that there is one."""
+    g = graph(**{"initial.mode": "auto"})
+    g.send(("set_odometry", odometry_message(START_NS + STEP_NS, (7.0, 8.0, 9.0))))
+    g.send(*imu_run(1, 30))
+    response = g.call(Trigger, "insdvl_filter/reset", Trigger.Request())
+    assert "heading and position are kept" in response.message
+    g.send(("dvl/velocity", dvl_message(START_NS + 31 * STEP_NS, (1.0, 0.0, 0.0))))
+    g.send(*imu_run(30, 140))
+    last = g.odometry()[-1]
+    assert stamp_of(last) == START_NS + 139 * STEP_NS
+    position = last.pose.pose.position
+    assert [position.x, position.y] == pytest.approx([7.0, 8.0], abs=1.5)  # 1 m/s since
+    assert last.pose.covariance[35] < 0.05
+    assert "started: heading kept over the reset" in capfd.readouterr().err
 
 
 def test_it_goes_on_from_its_state_file_and_forgets_it_at_a_reset(

@@ -17,7 +17,10 @@ from insdvl.navigation.events import NS
 
 START_NS = 1_700_000_000_000_000_000
 DEADLINE = 300.0  # s; far beyond what a process takes to end
-FILTER = ["-p", "qos_overrides./imu/data_raw.subscription.reliability:=reliable"]
+FILTER = [
+    *("-p", "qos_overrides./imu/data_raw.subscription.reliability:=reliable"),
+    *("-p", "initial.mode:=parameters"),
+]
 
 
 class Peer(Graph):

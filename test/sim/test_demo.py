@@ -21,6 +21,7 @@ from insdvl.navigation.odometry import odometry
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.sections import load_section
 from insdvl.recordings.bag_reader import BagReader
+from insdvl.simulation.initial_errors import P_0
 from insdvl.studies.evaluation.metrics import Scores
 from insdvl.timeline.recorded import fold_arrays
 from ros_insdvl_sim.trials import demo
@@ -142,7 +143,7 @@ def test_initial_errors_are_drawn_from_the_initial_covariance() -> None:
     drawn = [initial_parameters(seed)["initial"] for seed in range(400)]
     velocity = np.array([d["velocity"] for d in drawn])
     rpy = np.array([d["rpy"] for d in drawn])
-    sigma = FilterParameters().initial
+    sigma = P_0
     np.testing.assert_allclose(velocity.std(axis=0), sigma.velocity_std, rtol=0.15)
     np.testing.assert_allclose(rpy[:, :2].std(axis=0), sigma.tilt_std, rtol=0.15)
     np.testing.assert_allclose(rpy[:, 2].std(), sigma.heading_std, rtol=0.15)

@@ -30,7 +30,12 @@ class Navigation(Graph):
         self.filter = self.make(
             FilterNode,
             **reliable(NAMESPACE, "imu/data_raw", "dvl/velocity"),
-            **{"process_noise.source": "external", "gate.enabled": False, "origin.height": -5.0},
+            **{
+                "process_noise.source": "external",
+                "gate.enabled": False,
+                "origin.height": -5.0,
+                "initial.mode": "parameters",
+            },
         )
         self.make(TunerNode, **reliable(NAMESPACE, "imu/data_raw"))
         self.simulator = self.make(

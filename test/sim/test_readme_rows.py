@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from ament_index_python.packages import get_package_prefix
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from graphs import Graph
 from nav_msgs.msg import Odometry
 from ros_messages import stamp_of
@@ -40,6 +41,8 @@ class Terminals(Graph):
         self.processes: list[subprocess.Popen[bytes]] = []
         self.truth = self.keep(Odometry, "ground_truth/odometry")
         self.filtered = self.keep(Odometry, "odometry/filtered")
+        self.untold = self.keep(Odometry, "untold/odometry/filtered")
+        self.diagnostics = self.keep(DiagnosticArray, "/diagnostics")
 
     def pairs(self) -> list[tuple[Odometry, Odometry]]:
         """Odometry and truth of the same stamps, in their order."""
@@ -48,11 +51,23 @@ class Terminals(Graph):
 
     def start(self, row: str) -> None:
         prefix = Path(get_package_prefix("ros_insdvl"))
-        command = commands(row)[1].replace(".venv/", f"{prefix}/")
-        with (self.folder / f"{row}.log").open("wb") as log:
-            self.processes.append(
-                subprocess.Popen(shlex.split(command), stdout=log, stderr=subprocess.STDOUT)
-            )
+        self.run(row, shlex.split(commands(row)[1].replace(".venv/", f"{prefix}/")))
+
+    def start_untold(self) -> None:
+        """A filter of its own namespace without any argument about its start."""
+        program = Path(get_package_prefix("ros_insdvl")) / "lib/ros_insdvl/filter"
+        remaps = [f"{topic}:=/{topic}" for topic in ("imu/data_raw", "dvl/velocity")]
+        arguments = [part for name in ("__ns:=/untold", *remaps) for part in ("-r", name)]
+        self.run("untold", [str(program), "--ros-args", *arguments])
+
+    def run(self, name: str, command: list[str]) -> None:
+        with (self.folder / f"{name}.log").open("wb") as log:
+            self.processes.append(subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT))
+
+    def status(self, name: str) -> DiagnosticStatus | None:
+        """The last status of a name."""
+        found = [s for array in self.diagnostics for s in array.status if s.name == name]
+        return found[-1] if found else None
 
     def check(self) -> None:
         assert all(process.poll() is None for process in self.processes), self.logs()
@@ -80,12 +95,19 @@ def test_both_columns_run_the_same(row: str) -> None:
 
 
 def test_the_first_rows_navigate_the_right_way(terminals: Terminals) -> None:
+    """The printed filter knows its heading; one without arguments says what tells it."""
     for row in ROWS:
         terminals.start(row)
+    terminals.start_untold()
+
+    def untold_says() -> bool:
+        status = terminals.status("/untold/insdvl_filter: initialisation")
+        return status is not None and "heading unknown" in status.message
 
     def flown() -> bool:
         terminals.check()
-        return len(terminals.filtered) >= SAMPLES and len(terminals.pairs()) >= SAMPLES
+        enough = len(terminals.filtered) >= SAMPLES and len(terminals.pairs()) >= SAMPLES
+        return enough and untold_says()
 
     terminals.until(flown, "the flight")
     pairs = terminals.pairs()
@@ -94,3 +116,8 @@ def test_the_first_rows_navigate_the_right_way(terminals: Terminals) -> None:
         sigma = math.sqrt(filtered.pose.covariance[35])
         assert sigma < math.radians(5.0)
         assert abs(error) < 3 * sigma
+    status = terminals.status("/untold/insdvl_filter: initialisation")
+    assert status is not None and status.level == DiagnosticStatus.WARN
+    assert "set initial.mode:=topic" in status.message  # the argument of the printed row
+    assert terminals.untold[-1].pose.covariance[35] > math.radians(60.0) ** 2
+    assert "started: heading unknown" in terminals.logs()

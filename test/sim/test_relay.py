@@ -128,7 +128,11 @@ def mission(duration: float) -> Mission:
     )
 
 
-FILTER = {"initial.velocity": [1.0, 0.0, 0.0], "initial.rpy": [0.0, 0.0, np.pi / 2]}
+FILTER = {
+    "initial.mode": "parameters",
+    "initial.velocity": [1.0, 0.0, 0.0],
+    "initial.rpy": [0.0, 0.0, np.pi / 2],
+}
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,12 @@ VEHICLE = """
 /**/insdvl_filter:
   ros__parameters:
     origin.height: -5.0
-    initial: {{rpy: [0.0, 0.0, {yaw}], velocity: [1.0, 0.0, 0.0]}}
+    initial:
+      mode: parameters
+      rpy: [0.0, 0.0, {yaw}]
+      velocity: [1.0, 0.0, 0.0]
+      accelerometer_bias_std: 0.001
+      gyroscope_bias_std: 1.0e-5
 """
 
 

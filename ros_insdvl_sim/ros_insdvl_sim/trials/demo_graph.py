@@ -27,10 +27,10 @@ from insdvl.messages.topics import (
     TRUTH,
 )
 from insdvl.navigation.geometry.frames import ENU, rpy_from_rotation
-from insdvl.navigation.parameters import FilterParameters
+from insdvl.parameters.declaration import flatten
 from insdvl.recordings.bag_writer import BagWriter
 from insdvl.recordings.base import Raw
-from insdvl.simulation.initial_errors import drawn_initial
+from insdvl.simulation.initial_errors import P_0, drawn_initial
 from insdvl.simulation.trajectories import trajectory_named
 from ros_insdvl.conversions import message_class
 from ros_insdvl.monitor import Monitor
@@ -89,9 +89,10 @@ def initial_parameters(seed: int) -> dict[str, Any]:
     """Parameters of the initial state: the truth at the first IMU stamp with an error from P_0."""
     trajectory = trajectory_named(TRAJECTORY)
     truth = trajectory.truth(np.array([1.0 / IMU_RATE]))
-    drawn = drawn_initial(truth, FilterParameters().initial, np.random.default_rng([seed, 1]))
+    drawn = drawn_initial(truth, P_0, np.random.default_rng([seed, 1]))
     return {
         "initial": {
+            **{name: value for name, value in flatten(P_0).items() if name.endswith("_std")},
             "mode": "parameters",
             "position": (ENU.nav @ drawn.p_o).tolist(),
             "rpy": rpy_from_rotation(ENU.attitude(drawn.C_o_b)).tolist(),

@@ -16,7 +16,15 @@ from typing import Any
 import numpy as np
 
 from insdvl.arrays import Array
-from insdvl.navigation.events import MAX_VARIANCE, NS, Imu, Initial, Origin, ProcessNoise
+from insdvl.navigation.events import (
+    MAX_VARIANCE,
+    NS,
+    Imu,
+    Initial,
+    Orientation,
+    Origin,
+    ProcessNoise,
+)
 from insdvl.navigation.geometry.earth import MAX_LATITUDE_DEG
 from insdvl.navigation.geometry.frames import Convention, rotation_from_quaternion
 from insdvl.navigation.geometry.odom import MAX_FROM_ORIGIN
@@ -186,6 +194,33 @@ def imu(message: Any, convention: Convention) -> Imu:
         stamp_ns=sensor_stamp_ns(message.header),
         f_b=convention.body @ vector(message.linear_acceleration, "linear_acceleration"),
         w_ib_b=convention.body @ vector(message.angular_velocity, "angular_velocity"),
+    )
+
+
+def orientation(message: Any, convention: Convention, heading_std: float) -> Orientation | None:
+    """The attitude in a sensor_msgs/Imu; None where it is not measured, or not a rotation.
+
+    Args:
+        message: The sample.
+        convention: Of its axes.
+        heading_std: One sigma of the heading [rad] where the covariance is unknown (zeros); 0 takes
+            such an orientation for one that is not measured.
+    """
+    q = message.orientation
+    q_xyzw = np.array([q.x, q.y, q.z, q.w], dtype=float)
+    field = np.asarray(message.orientation_covariance, dtype=float).ravel()
+    if field.size != 9 or not abs(np.hypot.reduce(q_xyzw) - 1.0) < 1e-2:
+        return None
+    if field[0] < 0.0 or not (np.isfinite(field[8]) and field[8] >= 0.0):
+        return None
+    # As in `completed`, a variance of zero is an unknown one.
+    sigma = math.sqrt(field[8]) or heading_std
+    if not 0.0 < sigma < math.pi:
+        return None
+    return Orientation(
+        stamp_ns=sensor_stamp_ns(message.header),
+        C_n_i=convention.attitude(rotation_from_quaternion(q_xyzw)),
+        heading_std=sigma,
     )
 
 

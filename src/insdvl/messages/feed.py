@@ -82,10 +82,10 @@ class Feed:
             self.inputs.reset()
         return fed
 
-    def reset(self) -> None:
-        """Start again, with the origin of odom as it is."""
-        self.fold.reset()
+    def reset(self) -> bool:
+        """Start again, with the origin of odom as it is; see `Fold.reset`."""
         self.inputs.reset()
+        return self.fold.reset()
 
     def _refuse(self, topic: str, reason: str, detail: str) -> None:
         self.refused[Refused(topic, reason)] += 1

@@ -11,7 +11,7 @@ from typing import Any
 
 from insdvl.messages.convert import RejectedMessage
 from insdvl.messages.topics import Topic, ZeroStamp, taken
-from insdvl.navigation.events import NS, Event, Imu
+from insdvl.navigation.events import NS, Event, Imu, Orientation
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.state import NEVER
 from insdvl.timeline.fold import Fold
@@ -28,7 +28,8 @@ class Inputs:
         initial_topic: Topic of the initial state with ``initial.mode: topic``, else None.
         frame_ids: The last frame_id of each topic.
         frame_changes: How often the frame_id of each topic has changed.
-        initial_done: Whether no further message of the initial topic can start the filter.
+        initial_done: Whether no further message of the initial topic, and no orientation, can
+            start the filter.
     """
 
     def __init__(self, parameters: FilterParameters) -> None:
@@ -97,6 +98,8 @@ class Inputs:
         if row.until_started and self._is_initial_done(fold):
             return
         for converted in row.convert(message, self._parameters):
+            if isinstance(converted, Orientation) and self._is_initial_done(fold):
+                continue
             event = self._with_stamp(converted, row.zero_stamp, newest_ns)
             if event is not None:
                 event = self._in_time(event, topic)

@@ -118,6 +118,13 @@ def _convention(parameters: FilterParameters) -> Convention:
 
 def _imu(message: Any, parameters: FilterParameters) -> Iterator[Event]:
     yield convert.imu(message, _convention(parameters))
+    start = parameters.initial
+    if start.takes_orientation:
+        # Told to use it, the parameter's sigma stands for an unknown one.
+        sigma = start.heading_std if start.heading == "imu" else 0.0
+        orientation = convert.orientation(message, _convention(parameters), sigma)
+        if orientation is not None:
+            yield orientation
     if parameters.process_noise.source == "message":
         yield convert.process_noise(message, _convention(parameters))
 

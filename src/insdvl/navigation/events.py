@@ -37,8 +37,8 @@ class Event(ABC):
 
     Attributes:
         stamp_ns: When.
-        kind: Order of events with the same stamp: first the IMU sample, then origin, initial state
-            and process noise, then the measurements.
+        kind: Order of events with the same stamp: first the IMU sample, then origin, initial
+            state, process noise and orientation, then the measurements.
         follows_samples: Whether it is made from the newest samples, some of which may still be on
             their way; it may then be ahead of them.
     """
@@ -47,6 +47,11 @@ class Event(ABC):
 
     kind: ClassVar[int]
     follows_samples: ClassVar[bool] = False
+
+    @property
+    def starts_only(self) -> bool:
+        """Whether it tells nothing to a filter that has started, and so never cuts a sample."""
+        return False
 
     @abstractmethod
     def payload(self) -> bytes:
@@ -139,6 +144,11 @@ class Initial(Event):
 
     kind = 2
 
+    @property
+    def starts_only(self) -> bool:
+        """Where it applies once."""
+        return self.once
+
     def payload(self) -> bytes:
         """All numbers, and how they are to be taken."""
         covariances = (self.P_v, self.P_psi, self.P_p)
@@ -185,6 +195,34 @@ class ProcessNoise(Event):
     def limits(self) -> Limits:
         """What no noise is."""
         return (self.Q_f, MAX_VARIANCE), (self.Q_w, MAX_VARIANCE)
+
+
+@dataclass(frozen=True, slots=True)
+class Orientation(Event):
+    """What an IMU says of its own attitude; it only tells the heading at the start.
+
+    Attributes:
+        C_n_i: (3, 3) attitude of the IMU's axes.
+        heading_std: One sigma about the vertical [rad].
+    """
+
+    C_n_i: Array
+    heading_std: float
+
+    kind = 4
+
+    @property
+    def starts_only(self) -> bool:
+        """Of a filter that has started it tells nothing."""
+        return True
+
+    def payload(self) -> bytes:
+        """Attitude and sigma."""
+        return self.C_n_i.tobytes() + np.float64(self.heading_std).tobytes()
+
+    def limits(self) -> Limits:
+        """A rotation, and what no heading is off."""
+        return (self.C_n_i, 1.0 + 1e-9), (np.array([self.heading_std]), 2 * pi)
 
 
 @dataclass(frozen=True, slots=True)

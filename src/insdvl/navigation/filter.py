@@ -4,7 +4,6 @@ A `Filter` holds what never changes; all that does is in a state record (state.p
 methods advance in place. `timeline.fold.Fold` decides the order in which they are called.
 """
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,15 +12,25 @@ from insdvl.arrays import Array, Records, Stamps
 from insdvl.kernels import kernel
 from insdvl.navigation import channels, coordinates, error_state, kalman, strapdown
 from insdvl.navigation.error_state import ACCELEROMETER_BIAS, HORIZONTAL_POSITION, POSITION
-from insdvl.navigation.events import NS, Imu, Initial, Measurement, Origin, ProcessNoise
+from insdvl.navigation.events import (
+    NS,
+    Imu,
+    Initial,
+    Measurement,
+    Orientation,
+    Origin,
+    ProcessNoise,
+)
 from insdvl.navigation.gate.gate import Gate
 from insdvl.navigation.geometry.frames import CONVENTIONS, rotation_from_rpy
 from insdvl.navigation.geometry.rotation import rotate
 from insdvl.navigation.kalman import Innovated
 from insdvl.navigation.measurements import claims
 from insdvl.navigation.measurements.base import SensorModel, Turn, Vehicle
+from insdvl.navigation.measurements.report import UpdateReport
 from insdvl.navigation.parameters import SENSORS, FilterParameters
 from insdvl.navigation.process_noise import shown, source_of
+from insdvl.navigation.start import zero_velocity
 from insdvl.navigation.start.initial_state import Start, locate, sample_variance_w
 from insdvl.navigation.state import (
     CORE,
@@ -42,47 +51,7 @@ LAYOUT = layout(
 
 # First elements of blocks, for the kernel.
 _BIASES, _POSITION = ACCELEROMETER_BIAS.start, POSITION.start
-
-
-@dataclass(frozen=True)
-class UpdateReport:
-    """What an update did with a measurement of m rows.
-
-    Attributes:
-        measurement: Name of its kind.
-        innovation: (m,) measured minus predicted, in the coordinates of the measurement.
-        S: (m, m) covariance of the innovation; the variance of a component that was not measured is
-            infinite, its innovation 0.
-        nis: Normalised innovation squared, chi-square with `rows` degrees of freedom when all is
-            well; of the filter's own prediction also where the update adapts it.
-        accepted: Whether the state was corrected.
-        reason: Empty, or why not: ``gate``; ``bad_covariance`` (S is not positive definite);
-            ``not_finite`` (the NIS is beyond all numbers). ``restarted`` where the state was set
-            from the measurement. With ``not_initialised``, or a reason of the sensor's own,
-            nothing was predicted: innovation, S and NIS are nan.
-    """
-
-    measurement: str
-    innovation: Array
-    S: Array
-    nis: float
-    accepted: bool
-    reason: str
-
-    @property
-    def corrected(self) -> bool:
-        """Whether the innovation corrected the state; a restart only sets part of it."""
-        return self.accepted and not self.reason
-
-    @property
-    def rows(self) -> int:
-        """Number of components that were measured."""
-        return int(np.count_nonzero(np.isfinite(np.diagonal(self.S))))
-
-    @property
-    def judged(self) -> bool:
-        """Whether it was compared with a prediction, so that its NIS is a number."""
-        return bool(np.isfinite(self.nis))
+_NO_SAMPLES = np.empty((0, 6))
 
 
 @kernel
@@ -235,6 +204,7 @@ class Filter:
         C_b_i: (3, 3) rotation from IMU to base_link axes, forward-right-down.
         constants: (1,) record of what the kernels need to know, see `state.constants_type`.
         models: Of the sensors, by the names of their measurements.
+        start: Of the state.
     """
 
     def __init__(self, parameters: FilterParameters) -> None:
@@ -259,7 +229,7 @@ class Filter:
             constants=self.constants,
             workspace=self._workspace,
         )
-        self._start = Start(parameters.initial, parameters.origin, self.vehicle, blocks)
+        self.start = Start(parameters.initial, parameters.origin, self.vehicle, blocks)
         self.process_noise = source_of(parameters.process_noise, self.C_b_i)
         self._fill_constants()
         c = self.constants[0]
@@ -296,7 +266,7 @@ class Filter:
         """A record, in an array of length 1, to which nothing has happened."""
         state = LAYOUT.empty()
         self.process_noise.start(state[0])
-        self._start.locate_from_parameters(state[0])
+        self.start.locate_from_parameters(state[0])
         return state
 
     def locate(self, state: Records, origin: Origin) -> None:
@@ -305,12 +275,12 @@ class Filter:
 
     def initialise(self, state: Records, initial: Initial, stamp_ns: int, w_ib_b: Array) -> None:
         """The state becomes `initial`, see `Start.initialise`."""
-        if self._start.initialise(state, initial, stamp_ns, w_ib_b):
+        if self.start.initialise(state, initial, stamp_ns, w_ib_b):
             self._trust_nothing(state[0])
 
     def await_start(self, state: Records, sample: Imu, reading: Array) -> None:
         """An uninitialised state sees a sample, and may start from it, see `Start.see`."""
-        if self._start.see(state, sample, reading):
+        if self.start.see(state, sample, reading):
             self._trust_nothing(state[0])
 
     def _trust_nothing(self, s: State) -> None:
@@ -386,8 +356,18 @@ class Filter:
         """Variance (3,) of one sample of the angular rate [(rad/s)^2], base_link axes."""
         return np.diag(sample_variance_w(state[0], self.vehicle)).copy()
 
+    def hear_orientation(self, state: Records, event: Orientation) -> None:
+        """An IMU tells its attitude, which only a filter that has not started needs."""
+        if not state[0]["nav"]["initialised"]:
+            self.start.hear_orientation(state[0], event)
+
     def update(
-        self, state: Records, event: Measurement, w_ib_b: Array, share: Array | float
+        self,
+        state: Records,
+        event: Measurement,
+        w_ib_b: Array,
+        share: Array | float,
+        samples: Array = _NO_SAMPLES,
     ) -> UpdateReport:
         """Correct the state, which must be at the measurement's stamp.
 
@@ -396,17 +376,23 @@ class Filter:
             event: The measurement.
             w_ib_b: (3,) angular rate at the stamp [rad/s], base_link axes.
             share: (3,) its variance, in units of that of one sample.
+            samples: (N, 6) just before it, f then w, base_link axes; none where unknown.
         """
         s, model, gate = state[0], self.models[event.name], self._gates[event.name]
         memory, stamp_ns = s["gate"][event.name], event.stamp_ns
         reason = claims.refusal(memory, model, event)
-        if not reason and not s["nav"]["initialised"]:
-            reason = "not_initialised"
-        if reason:
+        turn, linearised = self._turn(s, w_ib_b, share), None
+        if not s["nav"]["initialised"]:
+            if not reason and (velocity := model.velocity(event, turn)) is not None:
+                self.start.hear_velocity(s, stamp_ns, *velocity)
+            reason = reason or "not_initialised"
+        elif not reason or model.claims_rest(event):
+            linearised = model.linearise(state, event, turn)
+            if reason and zero_velocity.confirmed(s, self.vehicle, linearised, samples):
+                reason = ""
+        if reason or linearised is None:
             nan = np.full((model.rows, model.rows), np.nan)
             return UpdateReport(event.name, nan[0], nan, np.nan, False, reason)
-        turn = self._turn(s, w_ib_b, share)
-        linearised = model.linearise(state, event, turn)
         R = gate.doubted(s, stamp_ns, linearised.R)
         now = kalman.innovate(s["nav"]["P"], linearised.z_minus_h, linearised.H, R)
         if not np.isfinite(now.nis):

@@ -133,11 +133,13 @@ class FilterParameters:
                 f"parameter 'imu.acceleration_range' must be 0 or more than gravity ({_GRAVITY} "
                 f"m/s^2), got {self.imu.acceleration_range!r}: it would be saturated at rest"
             )
-        if self.initial.mode == "gyrocompassing" and not self.earth_rate:
-            raise ParameterError(
-                "parameter 'initial.mode' must not be 'gyrocompassing' where earth_rate is false: "
-                "it finds the heading from the rotation of the Earth"
-            )
+        asked = {"mode": "gyrocompassing", "heading": "gyrocompass"}
+        for name, value in asked.items():
+            if getattr(self.initial, name) == value and not self.earth_rate:
+                raise ParameterError(
+                    f"parameter 'initial.{name}' must not be '{value}' where earth_rate is false: "
+                    "it finds the heading from the rotation of the Earth"
+                )
         check_frames(self.odom_frame, self.base_frame)
         self._check_start()
         self._check_limits()
@@ -145,7 +147,7 @@ class FilterParameters:
     def _check_start(self) -> None:
         """The start must be a place at which the filter navigates, where the parameters tell it."""
         initial = self.initial
-        if self.origin.source != "parameters" or initial.mode not in ("parameters", "levelling"):
+        if self.origin.source != "parameters" or initial.mode in ("topic", "set_odometry"):
             return
         p_o = CONVENTIONS[self.frame_convention].nav @ np.array(initial.position)
         if place_of(p_o, self.origin.place) is None:

@@ -156,6 +156,10 @@ _START = (
     Field("level_w", NUMBER, (3,)),
     Field("level_count", COUNT),
     Field("level_ns", STAMP),
+    # Of the mode 'auto': sums of the earlier half of it, f then w, its number, and sums of products
+    Field("level_half", NUMBER, (6,)),
+    Field("level_half_count", COUNT),
+    Field("level_products", NUMBER, (6, 6)),
     # Gyrocompassing, over many levellings: sum of both, number of samples, stamp of the first,
     # number of comparisons of a block with those before it, and sum of their squared misfits
     Field("rest_sum", NUMBER, (6,)),
@@ -166,6 +170,27 @@ _START = (
     # What has become of it, and the number that led to it, see gyrocompass.py
     Field("compass", COUNT),
     Field("compass_number", NUMBER),
+    # What the mode 'auto' has heard, see automatic.py: an attitude whose heading is known, one
+    # sigma, its stamp and source; velocity of base_link in body axes; a position kept over a reset
+    # and the speed then
+    Field("told_C", NUMBER, (3, 3)),
+    Field("told_std", NUMBER),
+    Field("told_ns", STAMP),
+    Field("told_by", COUNT),
+    Field("velocity", NUMBER, (3,)),
+    Field("velocity_P", COVARIANCE, (3, 3)),
+    Field("velocity_ns", STAMP),
+    Field("kept_p", NUMBER, (3,)),
+    Field("kept_P", COVARIANCE, (3, 3)),
+    Field("kept_ns", STAMP),
+    Field("kept_speed", NUMBER),
+    # And how it has begun: source and sigma of the heading, sigma of the tilt, whether the vehicle
+    # was at rest, and whether its velocity was told
+    Field("heading_from", COUNT),
+    Field("heading_std", NUMBER),
+    Field("tilt_std", NUMBER),
+    Field("at_rest", COUNT),
+    Field("velocity_told", COUNT),
 )
 
 _COUNTERS = (

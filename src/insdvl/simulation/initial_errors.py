@@ -1,4 +1,4 @@
-"""Initial states whose errors are drawn from the filter's P_0: the one place that draws them."""
+"""The published P_0, and initial states whose errors are drawn from it: the one place for both."""
 
 import math
 
@@ -8,6 +8,18 @@ from scipy.spatial.transform import Rotation
 from insdvl.navigation.events import Initial
 from insdvl.navigation.parameters import InitialParameters
 from insdvl.simulation.motion import Truth
+
+#: The published initial uncertainty, with which evaluation, fault flights and demo are flown. The
+#: defaults of `InitialParameters` have the biases of a MEMS.
+P_0 = InitialParameters(
+    mode="parameters",
+    velocity_std=0.1,
+    tilt_std=math.radians(0.5),
+    heading_std=math.radians(1.0),
+    accelerometer_bias_std=1e-3,
+    gyroscope_bias_std=1e-5,
+    position_std=0.1,
+)
 
 _DOWN = np.array([0.0, 0.0, 1.0])
 

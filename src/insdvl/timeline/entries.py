@@ -4,7 +4,7 @@ import bisect
 from dataclasses import dataclass, field
 
 from insdvl.navigation.events import Event, Initial, Measurement, Origin
-from insdvl.navigation.filter import UpdateReport
+from insdvl.navigation.measurements.report import UpdateReport
 
 #: Most events of each kind that are kept before the first sample.
 MAX_WAITING = 1000

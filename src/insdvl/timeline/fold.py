@@ -9,6 +9,7 @@ An event between two samples cuts the sample that spans it, so it waits for that
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -19,12 +20,14 @@ from insdvl.navigation.events import (
     Imu,
     Initial,
     Measurement,
+    Orientation,
     Origin,
     ProcessNoise,
     refusal,
 )
 from insdvl.navigation.filter import Filter
 from insdvl.navigation.parameters import FilterParameters
+from insdvl.navigation.start.zero_velocity import WINDOW_NS
 from insdvl.navigation.state import COUNTERS, NEVER, State
 from insdvl.timeline.entries import Entries
 from insdvl.timeline.jumps import Run, Suspects, TimeJump
@@ -35,6 +38,7 @@ from insdvl.timeline.output import (
     Output,
     applied,
     between,
+    known_pose,
     outputs_of,
     split,
 )
@@ -63,24 +67,30 @@ class Fold:
         # A measurement, or a Q, may be ahead of the samples by so much.
         self._ahead_ns = max(self._jump_limit_ns, round(MAX_QUEUE / parameters.imu.rate * NS))
         self._near_ns = max(self._max_delay_ns, self._max_gap_ns)  # samples of one time
-        self._turn_window_ns = max(model.turn_window_ns for model in self.filter.models.values())
-        self._apply_kind: dict[int, Callable[[Records, int, int], None]] = {
-            Origin.kind: self._apply_origin,
-            Initial.kind: self._apply_initial,
-            ProcessNoise.kind: self._apply_process_noise,
+        self._window_ns = max(WINDOW_NS, *(m.turn_window_ns for m in self.filter.models.values()))
+        self._hear: dict[int, Callable[[Records, Any], None]] = {
+            Origin.kind: self.filter.locate,
+            ProcessNoise.kind: self.filter.receive_process_noise,
+            Orientation.kind: self.filter.hear_orientation,
         }
         self._capacity = capacity
         self._clear()
 
-    def reset(self) -> None:
-        """Forget everything but where odom lies on the Earth; initialisation starts again."""
-        entries = self._entries.ordered
-        origins = [entry.event for entry in entries if isinstance(entry.event, Origin)]
+    def reset(self) -> bool:
+        """Forget everything but where odom lies on the Earth; initialisation starts again.
+
+        With ``initial.mode: auto`` heading and position stay known; returns whether they do.
+        """
+        valid, pose = self._samples.states[: self._samples.stale], None
+        if len(valid) and valid[-1]["nav"]["initialised"]:
+            pose = known_pose(self.filter, valid[-1])
+        origins = [e.event for e in self._entries.ordered if isinstance(e.event, Origin)]
         if (known := self._origin()) is not None:
             origins.insert(0, known)
         self._clear()
         for origin in origins[:1]:
             self.filter.locate(self._start, origin)
+        return pose is not None and self.filter.start.keep(self._start[0], pose)
 
     def _clear(self) -> None:
         """Nothing has happened yet."""
@@ -289,12 +299,12 @@ class Fold:
     def _make_room(self) -> None:
         """Drop the samples and events that nothing can reach any more, or make more room.
 
-        What is kept reaches back by max_delay, and before that by the window of the turn rate.
+        What is kept reaches back by max_delay, and before that by the window of a measurement.
         """
         self._fold()
         samples = self._samples
         oldest_ns = self._last_ns - self._max_delay_ns
-        reach_ns = min(oldest_ns, self._published_ns) - self._turn_window_ns
+        reach_ns = min(oldest_ns, self._published_ns) - self._window_ns
         drop = max(samples.index_of(reach_ns) - 2, 0)
         if drop < max(samples.count // 2, 1):  # the buffer is too small for the delays
             samples.grow(2 * samples.stamps_ns.size)
@@ -339,7 +349,7 @@ class Fold:
         f_b, w_ib_b = samples.f_b[k], samples.w_ib_b[k]
         while e < len(entries) and entries[e].event.stamp_ns < stamp_ns:
             event = entries[e].event
-            if state[0]["nav"]["initialised"] and not (isinstance(event, Initial) and event.once):
+            if state[0]["nav"]["initialised"] and not event.starts_only:
                 self.filter.predict_part(state, stamp_ns, f_b, w_ib_b, reading, event.stamp_ns)
             self._apply(state, e, k)
             e += 1
@@ -354,8 +364,13 @@ class Fold:
 
     def _apply(self, state: Records, e: int, k: int) -> None:
         """Apply event e at the time of the state, inside or at the end of sample k's interval."""
-        kind = self._entries.ordered[e].event.kind
-        self._apply_kind.get(kind, self._apply_measurement)(state, e, k)
+        event = self._entries.ordered[e].event
+        if event.kind in self._hear:
+            self._hear[event.kind](state, event)
+        elif isinstance(event, Initial):
+            self._apply_initial(state, event, e, k)
+        else:
+            self._apply_measurement(state, e, k)
 
     def _apply_measurement(self, state: Records, e: int, k: int) -> None:
         entry, samples = self._entries.ordered[e], self._samples
@@ -364,28 +379,17 @@ class Fold:
         times = k, event.stamp_ns, self.filter.turn_window_ns(event)
         variance = self.filter.sample_variance(state)
         rate, share = samples.turn_rate(state, *times, variance)
-        entry.report = self.filter.update(state, event, rate, share)
+        shown = samples.window(event.stamp_ns, WINDOW_NS, k)
+        entry.report = self.filter.update(state, event, rate, share, shown)
 
-    def _apply_process_noise(self, state: Records, e: int, k: int) -> None:
-        event = self._entries.ordered[e].event
-        assert isinstance(event, ProcessNoise)
-        self.filter.receive_process_noise(state, event)
-
-    def _apply_origin(self, state: Records, e: int, k: int) -> None:
-        event = self._entries.ordered[e].event
-        assert isinstance(event, Origin)
-        self.filter.locate(state, event)
-
-    def _apply_initial(self, state: Records, e: int, k: int) -> None:
-        event = self._entries.ordered[e].event
-        assert isinstance(event, Initial)
+    def _apply_initial(self, state: Records, event: Initial, e: int, k: int) -> None:
         stamp_ns = int(self._samples.stamps_ns[k])
         waited = state[0]["channels"]["imu_ns"] == NEVER
         if waited and stamp_ns - event.stamp_ns > self._jump_limit_ns:
             # Where the vehicle has gone since is unknown.
             state[0]["counters"]["too_old"] += 1
         elif waited and event.once and self._entries.another_start(e, stamp_ns):
-            pass  # of several that waited for the first sample the newest one is the best
+            pass  # of several that waited for the first sample the newest is the best
         elif not (event.once and state[0]["nav"]["initialised"]):
             self.filter.initialise(state, event, event.stamp_ns, self._samples.w_ib_b[k])
 

@@ -5,8 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from insdvl.arrays import Records, Stamps
-from insdvl.navigation.filter import Filter, UpdateReport
+from insdvl.navigation.events import Initial
+from insdvl.navigation.filter import Filter
+from insdvl.navigation.geometry.frames import rotation_from_quaternion
+from insdvl.navigation.measurements.report import UpdateReport
 from insdvl.navigation.odometry import Odometry, odometry
+from insdvl.navigation.state import State
 from insdvl.timeline.entries import Entry
 from insdvl.timeline.jumps import TimeJump
 
@@ -65,6 +69,24 @@ class LeftTime:
         first, last = between(self.stamps_ns, self.published_ns, self.jump.from_ns)
         outputs = outputs_of(self.result.filter, self.result.states, first, last, done)
         return [*outputs, self.jump]
+
+
+def known_pose(filter_: Filter, state: State) -> Initial:
+    """What the output of an initialised state says, as an initial state."""
+    records = np.empty(1, state.dtype)
+    records[0] = state
+    o, axes = odometry(filter_, records, 0), filter_.vehicle.axes
+    covariance = o.pose_covariance
+    return Initial(
+        stamp_ns=o.stamp_ns,
+        C_o_b=axes.attitude(rotation_from_quaternion(o.quaternion_xyzw)),
+        p_o=axes.nav @ o.position,
+        v=axes.body @ o.twist_linear,
+        velocity_frame="body",
+        P_v=axes.body @ o.twist_covariance[:3, :3] @ axes.body,
+        P_psi=axes.nav @ covariance[3:, 3:] @ axes.nav.T,
+        P_p=axes.nav @ covariance[:3, :3] @ axes.nav.T,
+    )
 
 
 def applied(entries: list[Entry]) -> list[AppliedUpdate]:

@@ -160,6 +160,11 @@ class Samples:
         """The states from sample k on are not valid any more."""
         self.stale = min(self.stale, k)
 
+    def window(self, end_ns: int, length_ns: int, last: int) -> Array:
+        """(N, 6) of a time that ends at a stamp, f then w, base_link axes; `last` is the last."""
+        first = self.index_of(end_ns - length_ns)
+        return np.hstack([self.f_b[first : last + 1], self.w_ib_b[first : last + 1]])
+
     def insert(self, sample: Imu) -> bool:
         """Insert a sample in the order of the stamps; there must be room.
 

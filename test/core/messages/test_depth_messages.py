@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from told import TOLD
 
 from insdvl.messages.convert import RejectedMessage
 from insdvl.messages.depth import ODOMETRY, POSE, PRESSURE, TYPES, depth
@@ -119,7 +120,7 @@ def test_the_table_has_its_types() -> None:
 
 def feed(**changes: Any) -> Feed:
     values = {"depth.topic": "sensors/depth", "initial.mode": "parameters", **changes}
-    return Feed(build(FilterParameters, values))
+    return Feed(build(FilterParameters, TOLD | values))
 
 
 def at_rest(k: int) -> Any:
@@ -132,7 +133,7 @@ IMU_TYPE = BY_NAME[IMU].types[0]
 
 
 def test_the_filter_takes_the_topic_that_its_parameter_names() -> None:
-    assert "sensors/depth" not in Feed(FilterParameters()).inputs.topics
+    assert "sensors/depth" not in Feed(build(FilterParameters, TOLD)).inputs.topics
     found = feed()
     for k in range(20):
         found.give(IMU, at_rest(k))

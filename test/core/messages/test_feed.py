@@ -3,11 +3,12 @@
 from typing import Any
 
 import numpy as np
+from told import TOLD
 
 from insdvl.messages.feed import Feed
 from insdvl.messages.refusals import Refused
-from insdvl.messages.topics import DVL, IMU
-from insdvl.navigation.events import NS, Imu, ProcessNoise
+from insdvl.messages.topics import DVL, IMU, SET_ODOMETRY
+from insdvl.navigation.events import NS, Imu, Orientation, ProcessNoise
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build
 from insdvl.recordings.messages import imu_message, odometry_message, twist_message
@@ -26,7 +27,7 @@ def odometry(stamp_ns: int) -> Any:
 
 
 def test_a_message_may_be_several_events() -> None:
-    feed = Feed(build(FilterParameters, {"process_noise.source": "message"}))
+    feed = Feed(build(FilterParameters, TOLD | {"process_noise.source": "message"}))
     first, second = feed.give(IMU, sample(START_NS))
     assert isinstance(first.event, Imu) and isinstance(second.event, ProcessNoise)
     assert first.refusal is second.refusal is None
@@ -35,7 +36,7 @@ def test_a_message_may_be_several_events() -> None:
 
 def test_refusals_of_converter_and_fold_are_counted_alike() -> None:
     told: list[tuple[str, str, str]] = []
-    feed = Feed(FilterParameters(), on_refused=lambda *refusal: told.append(refusal))
+    feed = Feed(build(FilterParameters, TOLD), on_refused=lambda *refusal: told.append(refusal))
     feed.give(IMU, sample(START_NS))
     (fed,) = feed.give(IMU, sample(START_NS))
     assert fed.refusal == "duplicate"
@@ -53,7 +54,7 @@ def test_refusals_of_converter_and_fold_are_counted_alike() -> None:
 
 def test_what_was_taken_before_a_refusal_stays_taken() -> None:
     """A sample is a sample whatever its covariance; its process noise is refused."""
-    feed = Feed(build(FilterParameters, {"process_noise.source": "message"}))
+    feed = Feed(build(FilterParameters, TOLD | {"process_noise.source": "message"}))
     message = sample(START_NS)
     message.linear_acceleration_covariance = -np.ones(9) / 2
     (fed,) = feed.give(IMU, message)
@@ -62,7 +63,7 @@ def test_what_was_taken_before_a_refusal_stays_taken() -> None:
 
 
 def test_after_a_time_jump_and_a_reset_the_initial_topic_is_taken_again() -> None:
-    feed = Feed(build(FilterParameters, {"initial.mode": "topic", "max_delay": 0.1}))
+    feed = Feed(build(FilterParameters, TOLD | {"initial.mode": "topic", "max_delay": 0.1}))
     topic = feed.inputs.initial_topic
     assert topic is not None
 
@@ -87,3 +88,20 @@ def test_after_a_time_jump_and_a_reset_the_initial_topic_is_taken_again() -> Non
 
 def test_a_key_of_a_refusal_has_one_text() -> None:
     assert str(Refused(DVL, "too_late")) == f"{Refused(DVL, 'too_late')}" == f"{DVL}: too_late"
+
+
+def test_the_orientation_of_an_imu_is_taken_until_the_filter_has_started() -> None:
+    """A measured one; set_odometry starts the filter, max_delay after that nobody needs it."""
+    feed = Feed(build(FilterParameters, {"max_delay": 0.1}))
+    taken = []
+    for k in range(40):
+        message = sample(START_NS + k * NS // 100)
+        message.orientation_covariance = np.diag([0.01, 0.01, 0.04]).ravel()
+        taken.append(any(isinstance(fed.event, Orientation) for fed in feed.give(IMU, message)))
+        if k == 10:
+            feed.give(SET_ODOMETRY, odometry(START_NS + k * NS // 100))
+        feed.fold.take()
+    assert all(taken[:20]) and not any(taken[25:])
+    told = Feed(build(FilterParameters, TOLD))
+    message.orientation_covariance = np.diag([0.01, 0.01, 0.04]).ravel()
+    assert len(told.give(IMU, message)) == 1

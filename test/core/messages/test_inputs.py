@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from told import TOLD
 
 from insdvl.messages.convert import RejectedMessage
 from insdvl.messages.inputs import Inputs
@@ -56,7 +57,9 @@ def odometry(
 
 
 def inputs(**values: Any) -> Inputs:
-    return Inputs(build(FilterParameters, {n.replace("__", "."): v for n, v in values.items()}))
+    return Inputs(
+        build(FilterParameters, TOLD | {n.replace("__", "."): v for n, v in values.items()})
+    )
 
 
 def events(

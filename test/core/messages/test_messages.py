@@ -425,3 +425,39 @@ class TestOrigin:
     )
     def test_refused(self, changes, reason):
         assert reason_of(messages.origin, fix_message(**changes), 9.0) == reason
+
+
+def oriented(covariance, q=(0.0, 0.0, 0.34289781, 0.93937271)):
+    message = imu_message()
+    message.orientation = Message(x=q[0], y=q[1], z=q[2], w=q[3])
+    message.orientation_covariance = flat(covariance)
+    return message
+
+
+def test_a_measured_orientation_is_one_in_the_core_s_axes():
+    """A yaw of 0.7 rad from east, counter-clockwise, is a heading of 90 deg less 0.7 rad."""
+    event = messages.orientation(oriented(np.diag([0.01, 0.01, 0.04])), ENU, 0.0)
+    assert event.heading_std == pytest.approx(0.2)
+    heading = np.arctan2(event.C_n_i[1, 0], event.C_n_i[0, 0])
+    assert heading == pytest.approx(np.pi / 2 - 0.7)
+    assert event.C_n_i[2, 2] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        oriented(np.diag([-1.0, 0.0, 0.0])),  # REP-145: not measured
+        oriented(np.zeros((3, 3))),  # unknown
+        oriented(np.diag([0.01, 0.01, 100.0])),  # tilt only
+        oriented(np.diag([0.01, 0.01, NAN])),
+        oriented(np.diag([0.01, 0.01, 0.04]), q=(0.0, 0.0, 0.0, 0.0)),
+        oriented(np.diag([0.01, 0.01, 0.04]), q=(NAN, 0.0, 0.0, 1.0)),
+    ],
+)
+def test_an_orientation_that_tells_no_heading_is_none(message):
+    assert messages.orientation(message, ENU, 0.0) is None
+
+
+def test_told_to_use_it_an_unknown_covariance_takes_the_parameter():
+    event = messages.orientation(oriented(np.zeros((3, 3))), ENU, 0.05)
+    assert event.heading_std == pytest.approx(0.05)

@@ -28,12 +28,11 @@ from insdvl.navigation.parameters import (
     DvlParameters,
     FilterParameters,
     GateParameters,
-    InitialParameters,
     OriginParameters,
     ProcessNoiseParameters,
 )
 from insdvl.simulation.dvl import DvlModel
-from insdvl.simulation.initial_errors import drawn_initial
+from insdvl.simulation.initial_errors import P_0, drawn_initial
 from insdvl.simulation.mission import ImuModel, simulate
 from insdvl.simulation.motion import Truth
 from insdvl.simulation.noise import constant
@@ -102,7 +101,8 @@ def parameters(case: Case) -> FilterParameters:
             accelerometer_bias_walk=IMU.accelerometer_bias_walk,
             gyroscope_bias_walk=IMU.gyroscope_bias_walk,
         ),
-        initial=InitialParameters(
+        initial=replace(
+            P_0,
             mode="set_odometry",
             velocity_frame=case.velocity_frame,
             velocity_std=case.velocity_std,

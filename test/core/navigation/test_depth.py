@@ -7,6 +7,7 @@ import pytest
 from places import moved, put
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
+from told import TOLD
 
 from insdvl.navigation import coordinates
 from insdvl.navigation.coordinates import position_error
@@ -48,7 +49,8 @@ def parameters(**changes: Any) -> FilterParameters:
         "process_noise.gyroscope_variance": tuple(VARIANCES[3:]),
     }
     return build(
-        FilterParameters, values | {name.replace("__", "."): v for name, v in changes.items()}
+        FilterParameters,
+        TOLD | values | {name.replace("__", "."): v for name, v in changes.items()},
     )
 
 

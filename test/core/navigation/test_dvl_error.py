@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from told import TOLD
 
 from insdvl.navigation.events import Event, Initial
 from insdvl.navigation.measurements.dvl import Dvl
@@ -23,7 +24,8 @@ def fly(mission: Mission, **values: object) -> FoldResult:
     variances = tuple(map(float, GRADE.variances()))
     parameters = build(
         FilterParameters,
-        {
+        TOLD
+        | {
             "frame_convention": "ned",
             "dvl.noise_std": (DVL_STD,) * 3,
             "process_noise.accelerometer_variance": variances[:3],
@@ -84,7 +86,7 @@ def test_an_axis_without_a_sigma_has_no_error() -> None:
 def test_one_sigma_for_all_axes_is_refused() -> None:
     expected = r"'dvl.bias_std' must be a list of floats, got 0.01 \(float\): give 3 values"
     with pytest.raises(ParameterError, match=expected):
-        build(FilterParameters, {"dvl.bias_std": 0.01})
+        build(FilterParameters, TOLD | {"dvl.bias_std": 0.01})
 
 
 def test_a_mount_that_is_known_has_no_states() -> None:

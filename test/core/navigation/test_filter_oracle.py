@@ -1,6 +1,7 @@
 """The filter against a dense one, and properties of its covariance over whole missions."""
 
 import dataclasses
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -16,11 +17,11 @@ from insdvl.navigation.parameters import (
     FilterParameters,
     GateParameters,
     ImuParameters,
-    InitialParameters,
     OriginParameters,
     ProcessNoiseParameters,
 )
 from insdvl.simulation.imu import ideal_imu
+from insdvl.simulation.initial_errors import P_0
 from insdvl.simulation.trajectories import Channel, Ramp, Trajectory, Wave
 from insdvl.studies.faults.soak import steps
 from insdvl.timeline.recorded import fold_arrays
@@ -68,7 +69,8 @@ def parameters_of(model, convention, bias_model, *, rate=100.0, arms=True, **cha
             accelerometer_bias_walk=1e-6,
             gyroscope_bias_walk=1e-9,
         ),
-        "initial": InitialParameters(
+        "initial": replace(
+            P_0,
             rpy=tuple(map(float, roll_pitch_yaw)),
             velocity=(1.6, 0.1, -0.05),
             velocity_std=0.1,

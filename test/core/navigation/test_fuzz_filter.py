@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from adversary import Adversary
 from records import P15
+from told import TOLD
 
 from insdvl.messages.feed import Feed
 from insdvl.navigation.events import NS
@@ -19,6 +20,7 @@ from insdvl.timeline.output import AppliedUpdate
 COUNT = 800
 SETTINGS: dict[str, dict[str, Any]] = {
     "default": {},
+    "parameters": TOLD,
     "all that can be told": {
         "process_noise.source": "external",
         "dvl.bias_model": "gauss_markov",

@@ -18,12 +18,11 @@ from insdvl.navigation.parameters import (
     FilterParameters,
     GateParameters,
     ImuParameters,
-    InitialParameters,
     OriginParameters,
     ProcessNoiseParameters,
 )
 from insdvl.simulation.dvl import DvlModel
-from insdvl.simulation.initial_errors import drawn_initial
+from insdvl.simulation.initial_errors import P_0, drawn_initial
 from insdvl.simulation.mission import ImuModel, Mission, simulate
 from insdvl.simulation.noise import constant, segments
 from insdvl.simulation.trajectories import AUV
@@ -47,7 +46,7 @@ def parameters(error_state: str = "invariant", **gate: object) -> FilterParamete
         process_noise=ProcessNoiseParameters(
             accelerometer_variance=tuple(VARIANCES[:3]), gyroscope_variance=tuple(VARIANCES[3:])
         ),
-        initial=InitialParameters(mode="set_odometry", velocity_std=0.02, heading_std=0.01),
+        initial=replace(P_0, mode="set_odometry", velocity_std=0.02, heading_std=0.01),
         origin=OriginParameters(height=float(AUV.h_0)),
     )
 

@@ -13,6 +13,7 @@ import pytest
 from places import position
 from scipy.integrate import solve_ivp
 from scipy.stats import chi2
+from told import TOLD
 
 from insdvl.navigation.events import NS, Initial, Origin, refusal
 from insdvl.navigation.filter import Filter
@@ -157,7 +158,7 @@ def filter_at(trajectory, **changes):
         "origin.longitude_deg": float(np.degrees(lon)),
         "origin.height": float(height),
     }
-    return build(FilterParameters, values | changes)
+    return build(FilterParameters, TOLD | values | changes)
 
 
 def perfectly_navigated(trajectory, **changes):
@@ -253,7 +254,9 @@ def test_an_initial_state_far_from_the_origin_comes_out_as_it_went_in(velocity_f
     filter_ = Filter(
         build(
             FilterParameters,
-            {"frame_convention": "ned", "origin.latitude_deg": 75.0, "error_state": "ned"},
+            TOLD
+            | TOLD
+            | {"frame_convention": "ned", "origin.latitude_deg": 75.0, "error_state": "ned"},
         )
     )
     rng, state = np.random.default_rng(3), filter_.empty()
@@ -315,7 +318,7 @@ def test_the_covariance_holds_at_all_latitudes(lat_deg):
 @pytest.mark.parametrize("lat_deg", [90.0, -90.0, 89.6])
 def test_a_pole_is_no_origin(lat_deg):
     with pytest.raises(ParameterError, match=r"origin\.latitude_deg.*89\.5"):
-        build(FilterParameters, {"origin.latitude_deg": lat_deg})
+        build(FilterParameters, TOLD | {"origin.latitude_deg": lat_deg})
     assert refusal(Origin(0, np.radians(lat_deg), 0.0, 0.0)) == "out_of_range"
 
 
@@ -325,7 +328,9 @@ def test_a_vehicle_that_sails_to_the_pole_is_held_and_says_so(model, sign):
     filter_ = Filter(
         build(
             FilterParameters,
-            {
+            TOLD
+            | TOLD
+            | {
                 "frame_convention": "ned",
                 "error_state": model,
                 "imu.frozen_samples": 0,
@@ -351,7 +356,7 @@ def test_a_vehicle_that_sails_to_the_pole_is_held_and_says_so(model, sign):
 
 @pytest.mark.parametrize("lat_deg", [MAX_LATITUDE_DEG, -MAX_LATITUDE_DEG])
 def test_the_largest_latitude_itself_may_be_the_origin(lat_deg):
-    filter_ = Filter(build(FilterParameters, {"origin.latitude_deg": lat_deg}))
+    filter_ = Filter(build(FilterParameters, TOLD | {"origin.latitude_deg": lat_deg}))
     state = filter_.empty()
     initial = Initial(0, np.eye(3), np.zeros(3), np.zeros(3), "body")
     filter_.initialise(state, initial, 0, np.zeros(3))
@@ -362,14 +367,17 @@ def test_the_largest_latitude_itself_may_be_the_origin(lat_deg):
 @pytest.mark.parametrize("position", [(0.0, 6e4, 0.0), (8e5, 8e5, 0.0)])
 def test_parameters_that_start_at_no_place_are_refused(position):
     with pytest.raises(ParameterError, match=r"initial\.position.*1000 km.*89\.5 deg"):
-        build(FilterParameters, {"origin.latitude_deg": 89.0, "initial.position": position})
+        build(
+            FilterParameters,
+            TOLD | {"origin.latitude_deg": 89.0, "initial.position": position},
+        )
 
 
 @pytest.mark.parametrize("p_o", [(2e6, 0.0, 0.0), (60_000.0, 0.0, 0.0)])
 def test_a_start_at_no_place_is_counted_and_not_used(p_o):
     """Too far from the origin, or beyond the largest latitude."""
     filter_ = Filter(
-        build(FilterParameters, {"origin.latitude_deg": 89.0, "frame_convention": "ned"})
+        build(FilterParameters, TOLD | {"origin.latitude_deg": 89.0, "frame_convention": "ned"})
     )
     state = filter_.empty()
     initial = Initial(0, np.eye(3), np.array(p_o), np.zeros(3), "body")

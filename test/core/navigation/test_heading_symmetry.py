@@ -18,7 +18,7 @@ which differs north and east by 0.7 % and grows with the height, by 1 m at most:
 1e-5 m and 2e-7 of P, by which corrections of up to 5 m/s differ by 1e-6 m/s.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -29,18 +29,18 @@ from insdvl.navigation import coordinates
 from insdvl.navigation.coordinates import from_reference
 from insdvl.navigation.error_state import ATTITUDE, POSITION, VELOCITY
 from insdvl.navigation.events import Imu, Initial
-from insdvl.navigation.filter import UpdateReport
 from insdvl.navigation.measurements.depth import Depth, DepthParameters
 from insdvl.navigation.measurements.dvl import Dvl
+from insdvl.navigation.measurements.report import UpdateReport
 from insdvl.navigation.parameters import (
     DvlParameters,
     FilterParameters,
     ImuParameters,
-    InitialParameters,
     OriginParameters,
 )
 from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.grades import GRADES
+from insdvl.simulation.initial_errors import P_0
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.motion import Channel, Ramp, Trajectory, Wave
 from insdvl.simulation.noise import constant
@@ -83,7 +83,8 @@ def parameters(model: str) -> FilterParameters:
         ),
         depth=DepthParameters(topic="depth", lever_arm=DEPTH_ARM),
         process_noise=process_noise_of(MEMS),
-        initial=InitialParameters(
+        initial=replace(
+            P_0,
             mode="set_odometry",
             heading_std=1.0,
             accelerometer_bias_std=MEMS.accelerometer_bias,

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from records import P15
+from told import TOLD
 
 from insdvl.navigation.coordinates import body_velocity_jacobian
 from insdvl.navigation.events import Event, Imu, Initial
@@ -15,12 +16,12 @@ from insdvl.navigation.parameters import (
     DvlParameters,
     FilterParameters,
     ImuParameters,
-    InitialParameters,
     OriginParameters,
     ProcessNoiseParameters,
 )
 from insdvl.parameters.declaration import ParameterError, build
 from insdvl.simulation.dvl import DvlModel
+from insdvl.simulation.initial_errors import P_0
 from insdvl.simulation.mission import ImuModel, Mission, simulate
 from insdvl.simulation.noise import constant
 from insdvl.simulation.trajectories import AUV
@@ -42,7 +43,8 @@ SETTINGS = FilterParameters(
     process_noise=ProcessNoiseParameters(
         accelerometer_variance=(1e-6,) * 3, gyroscope_variance=(1e-8,) * 3
     ),
-    initial=InitialParameters(
+    initial=replace(
+        P_0,
         velocity_std=0.0,
         tilt_std=0.0,
         heading_std=0.0,
@@ -308,7 +310,7 @@ def test_the_velocity_is_covered_while_a_channel_is_frozen(rate: float, channel:
         process_noise=ProcessNoiseParameters(
             accelerometer_variance=(1e-4,) * 3, gyroscope_variance=(1e-6,) * 3
         ),
-        initial=InitialParameters(mode="set_odometry", velocity_std=0.02),
+        initial=replace(P_0, mode="set_odometry", velocity_std=0.02),
         origin=OriginParameters(height=float(AUV.h_0)),
     )
     C = m.initial.C_n_b[0]
@@ -332,7 +334,7 @@ def test_the_velocity_is_covered_while_a_channel_is_frozen(rate: float, channel:
 @pytest.mark.parametrize(("name", "most"), [("acceleration_range", 10000), ("rate_range", 1000)])
 def test_a_range_is_not_negative(name: str, most: int) -> None:
     with pytest.raises(ParameterError, match=f"'imu.{name}' must be >= 0 and <= {most}, got -1.0"):
-        build(FilterParameters, {f"imu.{name}": -1.0})
+        build(FilterParameters, TOLD | {f"imu.{name}": -1.0})
 
 
 def test_a_duplicate_that_wins_brings_its_reading() -> None:

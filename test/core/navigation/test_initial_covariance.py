@@ -1,5 +1,6 @@
 """P_0 in the model's coordinates against a sample of true errors, through the exact definitions."""
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -15,9 +16,9 @@ from insdvl.navigation.parameters import (
     DvlParameters,
     FilterParameters,
     ImuParameters,
-    InitialParameters,
     ProcessNoiseParameters,
 )
+from insdvl.simulation.initial_errors import P_0
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.recorded import fold_arrays
 
@@ -42,7 +43,8 @@ def parameters(error_state: str, velocity_frame: str, arm: np.ndarray) -> Filter
         imu=ImuParameters(lever_arm=tuple(arm.tolist())),
         dvl=DvlParameters(bias_model="gauss_markov", bias_std=(0.02, 0.03, 0.04)),
         process_noise=ProcessNoiseParameters(gyroscope_variance=GYROSCOPE_VARIANCE),
-        initial=InitialParameters(
+        initial=replace(
+            P_0,
             mode="set_odometry",
             velocity_frame=velocity_frame,
             velocity_std=STD["velocity"],
@@ -154,7 +156,8 @@ def test_initial_values_are_used() -> None:
         earth_rate=False,
         imu=ImuParameters(mount=mount, lever_arm=tuple(IMU_ARM.tolist())),
         dvl=DvlParameters(bias_model="gauss_markov"),
-        initial=InitialParameters(
+        initial=replace(
+            P_0,
             position=(1.0, 2.0, 3.0),
             rpy=(0.1, 0.2, -2.0),
             velocity=(1.5, 0.1, -0.2),

@@ -3,7 +3,7 @@
 Hypothesis searches for parameters and streams, extreme ones among them, whose fold breaks it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -20,10 +20,10 @@ from insdvl.navigation.parameters import (
     FilterParameters,
     GateParameters,
     ImuParameters,
-    InitialParameters,
     OriginParameters,
     ProcessNoiseParameters,
 )
+from insdvl.simulation.initial_errors import P_0
 from insdvl.timeline.fold import Fold
 
 Array = NDArray[np.float64]
@@ -142,7 +142,8 @@ def streams(draw: st.DrawFn) -> Stream:
             accelerometer_floor=0.0,
             gyroscope_floor=0.0,
         ),
-        initial=InitialParameters(
+        initial=replace(
+            P_0,
             mode="set_odometry",
             velocity_std=draw(st.sampled_from([0.0, 0.1, 10.0])),
             tilt_std=draw(st.sampled_from([0.0, 1e-6, 0.01, 0.5])),

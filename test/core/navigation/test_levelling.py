@@ -1,5 +1,7 @@
 """A filter that starts from gravity must see gravity."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,9 +12,9 @@ from insdvl.navigation.odometry import Odometry
 from insdvl.navigation.parameters import (
     FilterParameters,
     ImuParameters,
-    InitialParameters,
     OriginParameters,
 )
+from insdvl.simulation.initial_errors import P_0
 from insdvl.timeline.fold import Fold
 
 STEP = NS // 100
@@ -31,7 +33,7 @@ def started(f_b: np.ndarray, stamps_ns: np.ndarray, bias=(0.0, 0.0, 0.0)) -> Fol
         FilterParameters(
             frame_convention="ned",
             imu=ImuParameters(frozen_samples=0),  # no noise here
-            initial=InitialParameters(mode="levelling", accelerometer_bias=bias),
+            initial=replace(P_0, mode="levelling", accelerometer_bias=bias),
             origin=OriginParameters(latitude_deg=LATITUDE),
         )
     )

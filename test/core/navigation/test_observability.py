@@ -5,6 +5,8 @@ accelerometer. A filter that becomes surer of either invents information. With t
 gyroscope finds the heading; how fast is computed here a second time, by batch least squares.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from records import P15
@@ -27,11 +29,11 @@ from insdvl.navigation.parameters import (
     FilterParameters,
     GateParameters,
     ImuParameters,
-    InitialParameters,
     OriginParameters,
     ProcessNoiseParameters,
 )
 from insdvl.simulation.dvl import DvlModel
+from insdvl.simulation.initial_errors import P_0
 from insdvl.simulation.mission import ImuModel, Mission, simulate
 from insdvl.simulation.noise import constant
 from insdvl.simulation.trajectories import Channel, Ramp, Trajectory, Wave
@@ -99,9 +101,7 @@ def noisy_fly(m: Mission, error_state: str, earth_rate: bool) -> FoldResult:
         error_state=error_state,
         earth_rate=earth_rate,
         dvl=DvlParameters(lever_arm=tuple(ARM.tolist())),
-        initial=InitialParameters(
-            mode="set_odometry", heading_std=np.radians(10.0), velocity_std=0.2
-        ),
+        initial=replace(P_0, mode="set_odometry", heading_std=np.radians(10.0), velocity_std=0.2),
     )
 
 
@@ -202,7 +202,8 @@ def navigation_grade(earth_rate: bool, error_state: str) -> FoldResult:
             accelerometer_bias_walk=WALK_F,
             gyroscope_bias_walk=WALK_W,
         ),
-        initial=InitialParameters(
+        initial=replace(
+            P_0,
             mode="set_odometry",
             velocity_std=STD_V,
             tilt_std=STD_TILT,
@@ -320,7 +321,8 @@ def test_on_a_level_straight_run_tilt_and_accelerometer_bias_stay_one(error_stat
             accelerometer_bias_walk=0.0,
             gyroscope_bias_walk=0.0,
         ),
-        initial=InitialParameters(
+        initial=replace(
+            P_0,
             mode="set_odometry",
             tilt_std=std_tilt,
             accelerometer_bias_std=std_f,

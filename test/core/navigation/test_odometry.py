@@ -1,5 +1,7 @@
 """Odometry: covariances of ordinary errors, body axes, conventions, an IMU off base_link."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from oracle import skew
@@ -17,10 +19,10 @@ from insdvl.navigation.odometry import biases, odometry
 from insdvl.navigation.parameters import (
     FilterParameters,
     ImuParameters,
-    InitialParameters,
     OriginParameters,
     ProcessNoiseParameters,
 )
+from insdvl.simulation.initial_errors import P_0
 from insdvl.simulation.trajectories import Channel, Ramp, Trajectory
 from insdvl.timeline.recorded import fold_arrays
 
@@ -310,7 +312,8 @@ def navigated(arm, mount_rpy, t, dt):
     parameters = FilterParameters(
         frame_convention="ned",
         imu=ImuParameters(lever_arm=arm, mount=mount_rpy),
-        initial=InitialParameters(
+        initial=replace(
+            P_0,
             position=tuple(map(float, start.p_o[0])),
             rpy=tuple(map(float, Rotation.from_matrix(start.C_n_b[0]).as_euler("xyz"))),
             velocity=tuple(map(float, start.C_n_b[0].T @ start.v_n[0])),

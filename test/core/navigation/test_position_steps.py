@@ -4,6 +4,7 @@ Where h lags behind the motion, the innovations are larger than S, and waves mov
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,11 +16,11 @@ from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import (
     DvlParameters,
     FilterParameters,
-    InitialParameters,
     OriginParameters,
 )
 from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.grades import GRADES
+from insdvl.simulation.initial_errors import P_0
 from insdvl.simulation.mission import simulate
 from insdvl.simulation.motion import Channel, Ramp, Trajectory, Wave
 from insdvl.simulation.noise import constant
@@ -62,7 +63,8 @@ def ratios(monkeypatch: pytest.MonkeyPatch, seed: int, late: float = 0.0) -> Arr
             bias_time_constant=TIME_CONSTANT,
         ),
         process_noise=process_noise_of(GRADE),
-        initial=InitialParameters(
+        initial=replace(
+            P_0,
             mode="set_odometry",
             accelerometer_bias_std=GRADE.accelerometer_bias,
             gyroscope_bias_std=GRADE.gyroscope_bias,

@@ -1,5 +1,7 @@
 """Where Q comes from, what happens to it on the way to P, and what the conventions mean."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from records import P15, density
@@ -19,11 +21,11 @@ from insdvl.navigation.parameters import (
     FilterParameters,
     GateParameters,
     ImuParameters,
-    InitialParameters,
     ProcessNoiseParameters,
 )
 from insdvl.navigation.process_noise.received import bounded
 from insdvl.parameters.declaration import ParameterError
+from insdvl.simulation.initial_errors import P_0
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.output import FoldResult
 from insdvl.timeline.recorded import fold_arrays
@@ -47,7 +49,8 @@ def parameters(*, bias_std: float = 0.0, **noise: object) -> FilterParameters:
         imu=ImuParameters(mount=MOUNT, frozen_samples=0),  # all samples are equal
         gate=GateParameters(enabled=False),
         process_noise=ProcessNoiseParameters(**(values | noise)),
-        initial=InitialParameters(
+        initial=replace(
+            P_0,
             velocity_std=0.0,
             tilt_std=0.0,
             heading_std=0.0,

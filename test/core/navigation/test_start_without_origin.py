@@ -1,10 +1,13 @@
 """A filter that does not know where on the Earth it is has no gravity, and must not start."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from insdvl.navigation.events import Imu, Initial, Origin
 from insdvl.navigation.measurements.dvl import Dvl
-from insdvl.navigation.parameters import FilterParameters, InitialParameters, OriginParameters
+from insdvl.navigation.parameters import FilterParameters, OriginParameters
+from insdvl.simulation.initial_errors import P_0
 from insdvl.timeline.fold import Fold
 
 STEP = 10_000_000
@@ -20,9 +23,7 @@ def initial(stamp_ns: int, *, once: bool) -> Initial:
 
 
 def settings(mode: str, origin: str) -> FilterParameters:
-    return FilterParameters(
-        initial=InitialParameters(mode=mode), origin=OriginParameters(source=origin)
-    )
+    return FilterParameters(initial=replace(P_0, mode=mode), origin=OriginParameters(source=origin))
 
 
 def test_an_initial_state_before_the_origin_is_counted_and_left() -> None:

@@ -1,6 +1,7 @@
 """Mechanisation: an hour without errors, its order in the step, and python-ins on one mission."""
 
 import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -17,10 +18,10 @@ from insdvl.navigation.filter import Filter
 from insdvl.navigation.parameters import (
     FilterParameters,
     ImuParameters,
-    InitialParameters,
     OriginParameters,
 )
 from insdvl.simulation.imu import ideal_imu
+from insdvl.simulation.initial_errors import P_0
 from insdvl.simulation.trajectories import AUV, LOOP, STATIC, Channel, Ramp, Trajectory, Wave
 from insdvl.timeline.recorded import fold_arrays
 
@@ -330,7 +331,8 @@ def test_against_python_ins_on_the_auv_mission():
     start = trajectory.truth(t[:1])
     parameters = dataclasses.replace(
         filter_on(trajectory).parameters,
-        initial=InitialParameters(
+        initial=replace(
+            P_0,
             position=tuple(map(float, start.p_o[0])),
             velocity=tuple(map(float, start.v_n[0])),
             velocity_frame="nav",

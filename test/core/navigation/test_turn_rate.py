@@ -4,6 +4,8 @@ The lever arm moves with the turn rate at the stamp. Where that changes, a mean 
 by half of it.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -14,11 +16,11 @@ from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import (
     DvlParameters,
     FilterParameters,
-    InitialParameters,
     OriginParameters,
 )
 from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.grades import GRADES
+from insdvl.simulation.initial_errors import P_0
 from insdvl.simulation.mission import simulate
 from insdvl.simulation.noise import constant
 from insdvl.simulation.trajectories import Channel, Ramp, Trajectory
@@ -42,7 +44,8 @@ def parameters_of(grade):
         frame_convention="ned",
         dvl=DvlParameters(noise_std=(DVL_STD,) * 3, lever_arm=ARM),
         process_noise=process_noise_of(grade),
-        initial=InitialParameters(
+        initial=replace(
+            P_0,
             mode="set_odometry",
             accelerometer_bias_std=grade.accelerometer_bias,
             gyroscope_bias_std=grade.gyroscope_bias,

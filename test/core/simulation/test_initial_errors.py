@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from insdvl.navigation.parameters import InitialParameters
-from insdvl.simulation.initial_errors import drawn_initial
+from insdvl.simulation.initial_errors import P_0, drawn_initial
 from insdvl.simulation.trajectories import AUV
 from insdvl.studies.evaluation.metrics import attitude_error
 
-SIGMA = InitialParameters(tilt_std=0.01, heading_std=0.05, velocity_std=0.2, position_std=3.0)
+SIGMA = replace(P_0, tilt_std=0.01, heading_std=0.05, velocity_std=0.2, position_std=3.0)
 TRUTH = AUV.truth([100.0, 200.0])
 C, V_N, P_N = TRUTH.C_n_b[0], TRUTH.v_n[0], TRUTH.p_o[0]
 

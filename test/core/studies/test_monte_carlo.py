@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from insdvl.navigation.parameters import InitialParameters
+from insdvl.simulation.initial_errors import P_0
 from insdvl.studies.evaluation.approaches import ORACLE, Setting, approach
 from insdvl.studies.evaluation.metrics import Track, attitude_error, nees
 from insdvl.studies.evaluation.monte_carlo import (
@@ -47,7 +47,7 @@ def test_runs_differ_and_splits_share_nothing() -> None:
 
 
 def test_initial_errors_have_the_initial_covariance() -> None:
-    sigma = InitialParameters()
+    sigma = P_0
     mission = mission_of_run(replace(STUDY, duration=10.0), TEST, 0)
     C, v, p = mission.initial.C_n_b[0], mission.initial.v_n[0], mission.initial.p_o[0]
     errors = []

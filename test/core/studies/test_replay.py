@@ -63,7 +63,7 @@ def filter_parameters(**values: Any) -> FilterParameters:
         "origin.height": float(TRAJECTORY.h_0),
     }
     names = {name.replace("__", "."): value for name, value in values.items()}
-    return build(FilterParameters, given | names)
+    return build(FilterParameters, {"initial.mode": "parameters"} | given | names)
 
 
 @pytest.fixture(scope="module")

@@ -17,12 +17,12 @@ from insdvl.navigation.parameters import (
     FilterParameters,
     GateParameters,
     ImuParameters,
-    InitialParameters,
     OriginParameters,
     ProcessNoiseParameters,
 )
 from insdvl.parameters.declaration import ParameterError
 from insdvl.simulation.dvl import DvlModel
+from insdvl.simulation.initial_errors import P_0
 from insdvl.simulation.mission import simulate
 from insdvl.simulation.noise import segments
 from insdvl.simulation.trajectories import AUV
@@ -48,7 +48,7 @@ SETTINGS = FilterParameters(
         mount=(0.0, 0.0, 0.7), lever_arm=(0.5, 0.0, 0.3), bias_model="gauss_markov", max_speed=100.0
     ),
     process_noise=ProcessNoiseParameters(source="external"),
-    initial=InitialParameters(mode="set_odometry", velocity_std=0.05),
+    initial=replace(P_0, mode="set_odometry", velocity_std=0.05),
     origin=OriginParameters(source="topic"),
 )
 
@@ -364,7 +364,7 @@ def at(k: int, f: float = 0.0) -> Imu:
 
 EQUAL_SAMPLES = ImuParameters(frozen_samples=0)
 SIMPLE = FilterParameters(
-    frame_convention="ned", max_delay=MAX_DELAY, q_timeout=0.5, imu=EQUAL_SAMPLES
+    frame_convention="ned", max_delay=MAX_DELAY, q_timeout=0.5, imu=EQUAL_SAMPLES, initial=P_0
 )
 
 
@@ -497,7 +497,7 @@ def test_memory_is_bounded_and_late_events_after_a_trim_still_count() -> None:
         if k % 5 == 0:
             fold.take()
         most, entries = max(most, len(fold.states)), max(entries, len(fold.updates))
-    assert most <= 256  # 0.5 s and the averaging of the turn rate are 75 samples
+    assert most <= 256  # max_delay and the window that shows a rest are 100 samples
     assert entries <= 12
     assert fold.latest.tobytes() == expected.states[-1].tobytes()
 
@@ -525,7 +525,7 @@ def test_an_event_right_after_a_trim_reaches_back_as_far_as_before(age: int) -> 
         for k in range(last + 1):
             fold.add(at(k, 0.01 * (k % 7)))
             fold.take()
-        assert (len(fold.states) < 100) == (last >= 256)
+        assert (len(fold.states) < 110) == (last >= 256)
         assert fold.add(late) is None
         samples = [at(k, 0.01 * (k % 7)) for k in range(last + 1)]
         assert fold.latest.tobytes() == offline(SIMPLE, [*samples, late]).states[-1].tobytes()
@@ -553,7 +553,7 @@ def test_a_q_applies_from_its_stamp_on() -> None:
         earth_rate=False,
         error_state="ned",
         q_timeout=100.0,
-        initial=InitialParameters(tilt_std=0.0, heading_std=0.0, accelerometer_bias_std=0.0),
+        initial=replace(P_0, tilt_std=0.0, heading_std=0.0, accelerometer_bias_std=0.0),
         process_noise=ProcessNoiseParameters(
             source="external",
             accelerometer_variance=(1.0,) * 3,
@@ -603,7 +603,7 @@ def modes(mode: str, **initial: object) -> FilterParameters:
     return FilterParameters(
         frame_convention="ned",
         imu=EQUAL_SAMPLES,
-        initial=InitialParameters(mode=mode, **initial),  # type: ignore[arg-type]
+        initial=replace(P_0, mode=mode, **initial),  # type: ignore[arg-type]
     )
 
 

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from records import P15, fields, put
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
+from told import TOLD
 
 from insdvl import files
 from insdvl.navigation.events import NS, Imu, Initial, Origin, ProcessNoise
@@ -36,7 +37,8 @@ from insdvl.timeline.state_file import StateFile, StateFileError, decode, encode
 START_NS = 1_700_000_000 * NS
 PARAMETERS = build(
     FilterParameters,
-    {
+    TOLD
+    | {
         "origin.height": -5.0,
         "initial.velocity": [1.0, 0.0, 0.0],
         "imu.frozen_samples": 0,  # samples at rest are all equal
@@ -77,7 +79,7 @@ def resumed(data: bytes, parameters: FilterParameters = PARAMETERS) -> Fold:
 @pytest.mark.parametrize("source", ["external", "adaptive"])
 def test_between_two_samples_a_restart_changes_no_bit(source: str) -> None:
     parameters = build(
-        FilterParameters, {"process_noise.source": source, "dvl.bias_model": "gauss_markov"}
+        FilterParameters, TOLD | {"process_noise.source": source, "dvl.bias_model": "gauss_markov"}
     )
     m = simulate(trajectory_named("auv"), SCENARIOS["varying"], seed=2, duration=8.0)
     events: list[Any] = [
@@ -107,7 +109,8 @@ def killed_and_restarted(m: Mission, seed: int, down: float) -> tuple[np.ndarray
     rng = np.random.default_rng(seed)
     parameters = build(
         FilterParameters,
-        {
+        TOLD
+        | {
             "process_noise.accelerometer_variance": [1e-4] * 3,
             "process_noise.gyroscope_variance": [1e-6] * 3,
         },
@@ -355,14 +358,14 @@ def test_a_file_of_other_parameters_is_refused_by_name(
     other = {"origin.height": -5.0, "initial.velocity": [1.0, 0.0, 0.0]} | parameters
     (name,) = parameters
     with pytest.raises(StateFileError, match=f"different parameters: '{name}' was .*, now"):
-        resumed(content, build(FilterParameters, other))
+        resumed(content, build(FilterParameters, TOLD | other))
 
 
 def test_a_file_of_other_states_or_another_version_is_refused(content: bytes) -> None:
-    other = build(FilterParameters, {"dvl.bias_model": "gauss_markov"})
+    other = build(FilterParameters, TOLD | {"dvl.bias_model": "gauss_markov"})
     with pytest.raises(StateFileError, match=r"error states: .* were .*, now .*dvl_error"):
         resumed(content, other)
-    for older in (b"insdvl state 2", b"insdvl state 1"):  # 2: positions were sums of metres
+    for older in (b"insdvl state 3", b"insdvl state 2"):  # 2: positions were sums of metres
         with pytest.raises(StateFileError, match=f"another version.*'{older.decode()}'.*state 4"):
             resumed(content.replace(b"insdvl state 4", older))
 

@@ -12,11 +12,11 @@ from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.odometry import Odometry
 from insdvl.navigation.parameters import (
     FilterParameters,
-    InitialParameters,
     OriginParameters,
     ProcessNoiseParameters,
 )
 from insdvl.parameters.declaration import ParameterError
+from insdvl.simulation.initial_errors import P_0
 from insdvl.timeline.entries import MAX_WAITING
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.jumps import JUMP_SAMPLES, MAX_SUSPECTS, TimeJump
@@ -31,6 +31,7 @@ SETTINGS = FilterParameters(
     frame_convention="ned",
     max_delay=MAX_DELAY,
     process_noise=ProcessNoiseParameters(source="external"),
+    initial=P_0,
 )
 
 
@@ -193,7 +194,7 @@ def test_what_came_just_before_the_run_is_used() -> None:
     """A recording begins again with its set_odometry and its fix, then come the samples."""
     settings = replace(
         SETTINGS,
-        initial=InitialParameters(mode="set_odometry"),
+        initial=replace(P_0, mode="set_odometry"),
         origin=OriginParameters(source="topic"),
     )
     start = Initial(START + 1, np.eye(3), np.array([1.0, 2.0, 3.0]), np.zeros(3), "body")
@@ -361,7 +362,7 @@ def test_what_waits_for_the_first_sample_is_bounded() -> None:
     """Hours without an IMU: the fix of the beginning and the last odometry are what counts."""
     settings = replace(
         SETTINGS,
-        initial=InitialParameters(mode="set_odometry"),
+        initial=replace(P_0, mode="set_odometry"),
         origin=OriginParameters(source="topic"),
     )
     fold = Fold(settings)
@@ -381,7 +382,7 @@ def test_what_waits_for_the_first_sample_is_bounded() -> None:
 
 def test_an_initial_state_from_long_ago_is_not_used() -> None:
     """Where the vehicle has been since, nobody knows: it waits for another one."""
-    settings = replace(SETTINGS, initial=InitialParameters(mode="set_odometry"))
+    settings = replace(SETTINGS, initial=replace(P_0, mode="set_odometry"))
     for seconds, starts in ((29.0, True), (31.0, False), (1.7e9, False)):
         fold = Fold(settings)
         stamp = START - round(seconds * NS)

@@ -8,7 +8,7 @@ from insdvl.navigation.geometry.odom import MAX_FROM_ORIGIN
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.state import State
 from insdvl.timeline.fold import Fold
-from insdvl.watch.heading_at_start import heading_at_start
+from insdvl.watch.start import large_biases, report_of_start, waits_for
 from ros_insdvl.status.diagnostics import RECENT, WARN, Status, View
 from ros_insdvl.status.filter.base import Cause, Published
 
@@ -43,11 +43,13 @@ class Initialisation(Cause):
         status = Status("initialisation", "initialised")
         first_ns, latest = self._published.first_ns, self._fold.latest
         if latest is None:
-            status.complain(WARN, "waits", f"not initialised, waits for {self._waits_for}")
+            status.complain(
+                WARN, "waits", f"not initialised, waits for {waits_for(self._parameters)}"
+            )
         elif first_ns is not None:
             status.summary = f"initialised, first output at stamp {first_ns / NS:.3f} s"
         if latest is not None:
-            self._tell_heading(latest, status)
+            self._tell_start(latest, status)
         for name, text in _EVENTS.items():
             if count := view.events.recent[name]:
                 status.complain(WARN, name, text.format(count=count, seconds=RECENT))
@@ -61,27 +63,12 @@ class Initialisation(Cause):
         view.show_events(status, *_EVENTS)
         return status
 
-    def _tell_heading(self, latest: State, status: Status) -> None:
-        """What came of gyrocompassing."""
-        heading = heading_at_start(latest, self._parameters.initial)
-        if heading is not None:
-            found, text = heading
-            if found:
-                status.summary += f", {text}"
-            else:
-                status.complain(WARN, "heading", text)
-
-    @property
-    def _waits_for(self) -> str:
-        """What an uninitialised filter waits for."""
-        initial = self._parameters.initial
-        waits_for = {
-            "parameters": "the first IMU sample",
-            "levelling": f"{initial.levelling_time:g} s of IMU samples at rest",
-            "gyrocompassing": f"{initial.gyrocompass_time:g} s of IMU samples at rest",
-            "topic": f"a message on {initial.topic}",
-            "set_odometry": f"a message on {SET_ODOMETRY}",
-        }[initial.mode]
-        if self._parameters.origin.source == "topic":
-            waits_for += f" and a fix on {FIX}"
-        return waits_for
+    def _tell_start(self, latest: State, status: Status) -> None:
+        """What was taken from where, what is not known, and biases that were told too small."""
+        report = report_of_start(self._fold.filter, latest)
+        if report.text:
+            status.summary += f", {report.text}"
+        if report.missing:
+            status.complain(WARN, "heading", report.missing)
+        for text in large_biases(self._fold.filter, latest):
+            status.complain(WARN, "bias", text)

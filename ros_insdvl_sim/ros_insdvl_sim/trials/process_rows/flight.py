@@ -35,6 +35,12 @@ START_S = 1000.0  # stamp of the start
 SEED = 1
 
 
+def _is_of_mission(name: str) -> bool:
+    """Whether a parameter describes where, and how well known, the mission starts."""
+    told = name in ("initial.mode", "initial.rpy", "initial.velocity", "origin.height")
+    return told or (name.startswith("initial.") and name.endswith("_std"))
+
+
 class Restart(NamedTuple):
     """A filter that ended, and the next one.
 
@@ -106,9 +112,8 @@ class LiveFlight:
         sensors = Sensors(start_ns=round(START_S * NS))
         mission = stream_of(sensors, SEED, 2.0).mission
         values = flatten(parameters_of(mission, sensors, SEED, {}))
-        kept = ("initial.rpy", "initial.velocity", "origin.height")
         return {
-            **{name: value for name, value in values.items() if name in kept},
+            **{name: value for name, value in values.items() if _is_of_mission(name)},
             **lossless(f"/{IMU}", f"/{DVL}"),
             **self.parameters,
         }

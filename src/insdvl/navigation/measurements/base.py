@@ -161,6 +161,17 @@ class SensorModel(ABC, Generic[_Event]):
             past: What was read before it.
         """
 
+    def claims_rest(self, event: _Event) -> bool:
+        """Whether what `refusal` refuses may be the zero velocity of a vehicle at rest."""
+        return False
+
+    def velocity(self, event: _Event, turn: Turn) -> tuple[Array, Array] | None:
+        """Velocity (3,) of base_link in body axes and its covariance, without any state.
+
+        None where the measurement does not tell it.
+        """
+        return None
+
     @abstractmethod
     def linearise(self, state: Records, event: _Event, turn: Turn) -> Linearised:
         """The measurement at a state, which is at its stamp.

@@ -240,6 +240,18 @@ class DvlModel(SensorModel[Dvl]):
             R = factor[:, None] * R * factor
         return np.where(unknown[:, None] | unknown, self._R, R) if unknown.any() else R
 
+    def claims_rest(self, event: Dvl) -> bool:
+        """Exact zeros: no bottom lock, or a vehicle at rest."""
+        return not event.v_d.any()
+
+    def velocity(self, event: Dvl, turn: Turn) -> tuple[Array, Array] | None:
+        """v_b = C_b_d v_d - w x l, l being the arm from base_link; None if a component is missing."""
+        if not all(event.measured):
+            return None
+        l_x = cross_matrix(self._l_b + self._vehicle.l_b_imu)
+        P = self._C_b_d @ self.noise(event) @ self._C_d_b + l_x @ turn.covariance @ l_x.T
+        return self._C_b_d @ event.v_d + l_x @ turn.w_ib_b, (P + P.T) / 2
+
     def linearise(self, state: Records, event: Dvl, turn: Turn) -> Linearised:
         """h = C_d_b (C_b_n v_n + w_nb_b x l) + b_d,  w_nb_b = w_ib_b - b_w - C_b_n w_in_n.
 

@@ -19,7 +19,7 @@ from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.earth import earth_rate_n, gravity
 from insdvl.navigation.geometry.frames import rotation_from_rpy
 from insdvl.navigation.geometry.rotation import cross_matrix
-from insdvl.navigation.state import State
+from insdvl.navigation.state import Constants, State
 
 # What has become of it, as it stands in the record. All but the first two: the heading is as told.
 UNDECIDED, FOUND, INACCURATE, MOVES, GAP, NOT_THE_EARTH = range(6)
@@ -68,6 +68,20 @@ class Noise:
         return np.diag(np.repeat(np.square([self.bias_f, self.bias_w]), 3))
 
 
+def noise_of(s: State, c: Constants, bias_f: float, bias_w: float) -> Noise:
+    """What is told of the IMU now, with one sigma of each axis of both biases."""
+    per_sample = c["density"] * c["rate"]
+    return Noise(
+        f=s["noise"]["Q_f"] * per_sample,
+        w=s["noise"]["Q_w"] * per_sample,
+        walk_f=float(c["eps_f"]),
+        walk_w=float(c["eps_w"]),
+        bias_f=bias_f,
+        bias_w=bias_w,
+        rate=float(c["rate"]),
+    )
+
+
 @dataclass(frozen=True)
 class Plan:
     """What is wanted.
@@ -98,6 +112,13 @@ class Rest:
     C_n_b: Array
     P_psi: Array
     P_psi_b: Array
+
+    def covariance(self, noise: Noise) -> Array:
+        """Covariance (9, 9) of the errors of attitude and biases."""
+        P = np.zeros((9, 9))
+        P[:3, :3], P[:3, 3:], P[3:, :3] = self.P_psi, self.P_psi_b, self.P_psi_b.T
+        P[3:, 3:] = noise.of_biases()
+        return P
 
 
 def level(f_b: Array) -> tuple[float, float]:

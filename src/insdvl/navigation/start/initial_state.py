@@ -15,20 +15,22 @@ from insdvl.navigation.error_state import (
     POSITION,
     VELOCITY,
 )
-from insdvl.navigation.events import NS, Imu, Initial, Origin
+from insdvl.navigation.events import NS, Imu, Initial, Orientation, Origin
 from insdvl.navigation.geometry import odom
 from insdvl.navigation.geometry.earth import gravity, move
 from insdvl.navigation.geometry.frames import rotation_from_rpy
 from insdvl.navigation.geometry.rotation import cross_matrix
 from insdvl.navigation.measurements.base import Block, Vehicle
-from insdvl.navigation.start import gyrocompass
+from insdvl.navigation.start import automatic, gyrocompass
+from insdvl.navigation.start.automatic import Automatic
 from insdvl.navigation.start.parameters import InitialParameters, OriginParameters
+from insdvl.navigation.start.rest import Attitude
 from insdvl.navigation.state import NEVER, State
 
 #: What the mean specific force at rest may differ from gravity, as a fraction of it.
 LEVEL_TOLERANCE = 0.05
-#: Both biases, as neighbours.
-_BIASES = slice(ACCELEROMETER_BIAS.start, GYROSCOPE_BIAS.stop)
+#: Attitude and both biases, as neighbours.
+_ATTITUDE_AND_BIASES = slice(ATTITUDE.start, GYROSCOPE_BIAS.stop)
 
 
 @kernel
@@ -56,7 +58,7 @@ def sample_variance_w(s: State, vehicle: Vehicle) -> Array:
 
 
 class Start:
-    """Starts a state: on an initial state, from the parameters, by levelling or gyrocompassing.
+    """Starts a state: on an initial state, from the parameters, or from what a sensor shows.
 
     Args:
         parameters: Of the initial state.
@@ -86,6 +88,12 @@ class Start:
             v=(axes.body if in_body else axes.nav) @ np.array(parameters.velocity),
             velocity_frame=parameters.velocity_frame,
         )
+        accelerometer = self._bias(parameters.accelerometer_bias)
+        gyroscope = self._bias(parameters.gyroscope_bias)
+        self._told_bias = np.concatenate([accelerometer, gyroscope])
+        self._automatic = Automatic(
+            parameters, self._initial, self._told_bias, vehicle.constants[0]
+        )
 
     def locate_from_parameters(self, s: State) -> None:
         """Set the origin, where the parameters tell it."""
@@ -110,6 +118,7 @@ class Start:
             Whether the state is initialised now.
         """
         state[0]["start"]["compass"] = gyrocompass.UNDECIDED
+        state[0]["start"]["heading_from"] = automatic.TOLD
         return self._begin(state, initial, stamp_ns, w_ib_b, None)
 
     def _begin(
@@ -118,9 +127,9 @@ class Start:
         initial: Initial,
         stamp_ns: int,
         w_ib_b: Array,
-        rest: gyrocompass.Rest | None,
+        found: Attitude | None,
     ) -> bool:
-        """See `initialise`; what was found at rest takes the place of the initial attitude."""
+        """See `initialise`; an attitude that was found takes the place of the initial one."""
         s, vehicle, parameters = state[0], self._vehicle, self._parameters
         nav, imu = s["nav"], s["channels"]
         if np.isnan(nav["lat_0"]):
@@ -133,10 +142,10 @@ class Start:
             return False
         J, turn = odom.jacobian(place, origin)
         to_n, J_inverse = turn.T, np.linalg.inv(J)
-        C, l_b = to_n @ initial.C_o_b if rest is None else rest.C_n_b, vehicle.l_b_imu
+        C, l_b = to_n @ initial.C_o_b if found is None else found.C_n_b, vehicle.l_b_imu
         in_body = initial.velocity_frame == "body"
-        nav["b_f"] = self._bias(parameters.accelerometer_bias)
-        nav["b_w"] = self._bias(parameters.gyroscope_bias)
+        nav["b_f"] = self._told_bias[:3]
+        nav["b_w"] = self._told_bias[3:] if found is None else found.b_w
         nav["optional"] = 0.0
         nav["C_n_b"], nav["llh"], nav["llh_r"] = C, place, place
         move(nav["llh"], C @ l_b)
@@ -151,14 +160,16 @@ class Start:
         P[VELOCITY, VELOCITY] = _or_isotropic(initial.P_v, parameters.velocity_std)
         if not in_body:
             P[VELOCITY, VELOCITY] = to_n @ P[VELOCITY, VELOCITY] @ to_n.T
-        P_psi = initial.P_psi
-        if P_psi is None:
-            P_psi = np.diag(np.square(parameters.attitude_std))
-        P[ATTITUDE, ATTITUDE] = to_n @ P_psi @ to_n.T if rest is None else rest.P_psi
-        P[ACCELEROMETER_BIAS, ACCELEROMETER_BIAS] = np.eye(3) * parameters.accelerometer_bias_std**2
-        P[GYROSCOPE_BIAS, GYROSCOPE_BIAS] = np.eye(3) * parameters.gyroscope_bias_std**2
-        if rest is not None:
-            P[ATTITUDE, _BIASES], P[_BIASES, ATTITUDE] = rest.P_psi_b, rest.P_psi_b.T
+        if found is None:
+            P_psi = initial.P_psi
+            if P_psi is None:
+                P_psi = np.diag(np.square(parameters.attitude_std))
+            P[ATTITUDE, ATTITUDE] = to_n @ P_psi @ to_n.T
+            b_f, b_w = parameters.accelerometer_bias_std, parameters.gyroscope_bias_std
+            P[ACCELEROMETER_BIAS, ACCELEROMETER_BIAS] = np.eye(3) * b_f**2
+            P[GYROSCOPE_BIAS, GYROSCOPE_BIAS] = np.eye(3) * b_w**2
+        else:
+            P[_ATTITUDE_AND_BIASES, _ATTITUDE_AND_BIASES] = found.P
         P_p = _or_isotropic(initial.P_p, parameters.position_std)
         P[POSITION, POSITION] = J_inverse @ P_p @ J_inverse.T
         for block in self._blocks:
@@ -214,10 +225,40 @@ class Start:
         if not np.isnan(s["nav"]["lat_0"]):
             if mode == "parameters":
                 started = self.initialise(state, self._initial, sample.stamp_ns, sample.w_ib_b)
-            elif mode in ("levelling", "gyrocompassing"):
+            elif mode in ("auto", "levelling", "gyrocompassing"):
                 started = self._level(state, sample)
         s["channels"]["imu_ns"] = s["nav"]["time_ns"] = sample.stamp_ns
         return started
+
+    def hear_orientation(self, s: State, event: Orientation) -> None:
+        """The IMU has told its orientation."""
+        if self._parameters.takes_orientation:
+            C, std = event.C_n_i @ self._vehicle.C_b_i.T, event.heading_std
+            self._automatic.hear_heading(s, event.stamp_ns, C, std, automatic.IMU)
+
+    def hear_velocity(self, s: State, stamp_ns: int, v_b: Array, P: Array) -> None:
+        """A DVL has told the velocity (3,) of base_link in body axes, and its covariance."""
+        if self._parameters.mode == "auto":
+            self._automatic.hear_velocity(s, stamp_ns, v_b, P)
+
+    def keep(self, s: State, known: Initial) -> bool:
+        """Keep heading and position from before a reset, with their covariance; whether it does.
+
+        Of the heading that holds below the sigma of an unknown one.
+        """
+        if self._parameters.mode != "auto":
+            return False
+        nav = s["nav"]
+        origin = np.array([nav["lat_0"], nav["lon_0"], nav["h_0"]])
+        place = odom.place_of(known.p_o, origin)
+        if place is None or known.P_psi is None:
+            return False
+        _, turn = odom.jacobian(place, origin)
+        C, std = turn.T @ known.C_o_b, float(np.sqrt(known.P_psi[2, 2]))
+        if std < automatic.UNKNOWN_HEADING:
+            self._automatic.hear_heading(s, known.stamp_ns, C, std, automatic.KEPT)
+        self._automatic.keep_position(s, known)
+        return True
 
     def _level(self, state: Records, sample: Imu) -> bool:
         """Collect the samples of a block at rest, f_b = -C_b_n g_n, then start from its direction.
@@ -226,10 +267,12 @@ class Start:
         over many blocks.
         """
         s, vehicle, parameters = state[0], self._vehicle, self._parameters
-        start, nav = s["start"], s["nav"]
+        start, nav, is_automatic = s["start"], s["nav"], self._parameters.mode == "auto"
+        if is_automatic:
+            self._automatic.carry(s, sample)
         since_ns = sample.stamp_ns - s["channels"]["imu_ns"]
         if start["level_count"] + start["rest_count"] and since_ns > vehicle.constants[0]["gap_ns"]:
-            if start["rest_count"]:
+            if start["rest_count"] and not is_automatic:
                 start["compass"] = gyrocompass.GAP
             self._restart_levelling(s)
         if start["level_count"] == 0:
@@ -237,43 +280,48 @@ class Start:
         start["level_f"] += sample.f_b
         start["level_w"] += sample.w_ib_b
         start["level_count"] += 1
+        if is_automatic:
+            self._automatic.collect(s, sample)
         duration = round(parameters.levelling_time * NS)
         if sample.stamp_ns - start["level_ns"] < duration:
             return False
         count = int(start["level_count"])
-        f_b = start["level_f"] / count - self._bias(parameters.accelerometer_bias)
-        w_ib_b = start["level_w"] / count - self._bias(parameters.gyroscope_bias)
+        f_b = start["level_f"] / count - self._told_bias[:3]
+        w_ib_b = start["level_w"] / count - self._told_bias[3:]
         g = gravity(nav["lat_0"], nav["h_0"])
         if abs(np.hypot.reduce(f_b) - g) > LEVEL_TOLERANCE * g:  # cannot overflow
             self._restart_levelling(s)
             return False
+        if is_automatic:
+            beginning = self._automatic.decide(s, sample.stamp_ns, self._noise(s))
+            self._clear_block(s)
+            if beginning is None:
+                return False
+            initial, found = beginning.initial, beginning.attitude
+            return self._begin(state, initial, sample.stamp_ns, sample.w_ib_b, found)
         undecided = start["compass"] == gyrocompass.UNDECIDED
         if parameters.mode == "gyrocompassing" and undecided:
             noise, mean = self._noise(s), np.concatenate([f_b, w_ib_b])
             gyrocompass.see_block(s, mean, count, noise, self._plan, sample.stamp_ns)
             if start["compass"] == gyrocompass.FOUND:
                 rest = gyrocompass.at_rest(s, noise)
-                return self._begin(state, self._initial, sample.stamp_ns, sample.w_ib_b, rest)
+                found = Attitude(rest.C_n_b, self._told_bias[3:], rest.covariance(noise))
+                return self._begin(state, self._initial, sample.stamp_ns, sample.w_ib_b, found)
             if start["compass"] == gyrocompass.UNDECIDED:
                 self._clear_block(s)
                 return False
         C = self._initial.C_o_b
         rpy = np.array([*gyrocompass.level(f_b), np.arctan2(C[1, 0], C[0, 0])])
-        initial = replace(self._initial, C_o_b=rotation_from_rpy(rpy))
+        C, tilt = rotation_from_rpy(rpy), np.eye(2) * parameters.tilt_std**2
+        P_psi = automatic.levelled_covariance(C, tilt, parameters.heading_std)
+        initial = replace(self._initial, C_o_b=C, P_psi=P_psi)
         return self._begin(state, initial, sample.stamp_ns, sample.w_ib_b, None)
 
     def _noise(self, s: State) -> gyrocompass.Noise:
         """What is told of the IMU now."""
         c, parameters = self._vehicle.constants[0], self._parameters
-        per_sample = c["density"] * c["rate"]
-        return gyrocompass.Noise(
-            f=s["noise"]["Q_f"] * per_sample,
-            w=sample_variance_w(s, self._vehicle),
-            walk_f=float(c["eps_f"]),
-            walk_w=float(c["eps_w"]),
-            bias_f=parameters.accelerometer_bias_std,
-            bias_w=parameters.gyroscope_bias_std,
-            rate=float(c["rate"]),
+        return gyrocompass.noise_of(
+            s, c, parameters.accelerometer_bias_std, parameters.gyroscope_bias_std
         )
 
     def _restart_levelling(self, s: State) -> None:
@@ -287,6 +335,7 @@ class Start:
     def _clear_block(s: State) -> None:
         start = s["start"]
         start["level_f"], start["level_w"], start["level_count"] = 0.0, 0.0, 0
+        start["level_half"], start["level_half_count"], start["level_products"] = 0.0, 0, 0.0
 
 
 def _or_isotropic(P: Array | None, std: float) -> Array:

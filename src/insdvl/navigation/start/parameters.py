@@ -35,20 +35,30 @@ class InitialParameters:
     """The state at the start and its uncertainty."""
 
     mode: str = parameter(
-        "parameters",
-        "How the filter starts: from these values at the first IMU stamp (parameters); from the "
-        "first message on initial.topic (topic); with roll and pitch from the accelerometer at "
-        "rest (levelling), and with the heading from the Earth's rotation where gyroscope and rest "
-        "allow it (gyrocompassing); on set_odometry only.",
-        choices=("parameters", "topic", "levelling", "gyrocompassing", "set_odometry"),
+        "auto",
+        "How the filter starts: with what the sensors tell and nothing assumed, tilt from the "
+        "accelerometer, velocity from the DVL, heading as initial.heading says (auto); from these "
+        "values at the first IMU stamp (parameters); from the first message on initial.topic "
+        "(topic); with roll and pitch from the accelerometer at rest (levelling), and with the "
+        "heading from the Earth's rotation where gyroscope and rest allow it (gyrocompassing); on "
+        "set_odometry only. set_odometry is taken in every mode.",
+        choices=("auto", "parameters", "topic", "levelling", "gyrocompassing", "set_odometry"),
+    )
+    heading: str = parameter(
+        "auto",
+        "Where the mode 'auto' takes the heading from: the first that tells it of imu and "
+        "gyrocompass, else unknown (auto); the yaw of initial.rpy (parameters); the orientation in "
+        "imu/data_raw (imu); the Earth's rotation, at rest on a stand (gyrocompass); nothing "
+        "(unknown).",
+        choices=("auto", "parameters", "imu", "gyrocompass", "unknown"),
     )
     topic: str = parameter("ground_truth/odometry", "Odometry topic for the mode 'topic'.")
     levelling_time: float = parameter(
-        1.0, "Duration over which 'levelling' averages the specific force.", unit="s", above=0.0
+        1.0, "Duration over which a levelling averages the specific force.", unit="s", above=0.0
     )
     gyrocompass_time: float = parameter(
         60.0,
-        "Duration over which 'gyrocompassing' averages specific force and angular rate; at least "
+        "Duration over which gyrocompassing averages specific force and angular rate; at least "
         "ten times levelling_time.",
         unit="s",
         above=0.0,
@@ -64,7 +74,7 @@ class InitialParameters:
     rpy: tuple[float, ...] = parameter(
         (0.0, 0.0, 0.0),
         "Roll, pitch, yaw of base_link in odom; 'levelling' uses the yaw only, 'gyrocompassing' "
-        "that where it finds none.",
+        "that where it finds none, 'auto' that with initial.heading 'parameters'.",
         unit="rad",
         low=-2 * math.pi,
         high=2 * math.pi,
@@ -90,15 +100,34 @@ class InitialParameters:
     )
     heading_std: float = parameter(
         math.radians(1.0),
-        "One sigma of the heading; 'gyrocompassing' is used where its own is smaller.",
+        "One sigma of the heading; the mode 'gyrocompassing' is used where its own is smaller.",
         unit="rad",
         low=0.0,
     )
     accelerometer_bias_std: float = parameter(
-        1e-3, "One sigma of each axis.", unit="m/s^2", low=0.0
+        0.049,
+        "One sigma of each axis. The default is that of a MEMS, 5 mg.",
+        unit="m/s^2",
+        low=0.0,
     )
-    gyroscope_bias_std: float = parameter(1e-5, "One sigma of each axis.", unit="rad/s", low=0.0)
+    gyroscope_bias_std: float = parameter(
+        4.85e-4,
+        "One sigma of each axis. The default is that of a MEMS, 100 deg/h.",
+        unit="rad/s",
+        low=0.0,
+    )
     position_std: float = parameter(0.1, "One sigma of each axis.", unit="m", low=0.0)
+
+    @property
+    def takes_orientation(self) -> bool:
+        """Whether the orientation in imu/data_raw may tell the heading."""
+        return self.mode == "auto" and self.heading in ("auto", "imu")
+
+    @property
+    def may_gyrocompass(self) -> bool:
+        """Whether the heading may come from the rotation of the Earth."""
+        automatic = self.mode == "auto" and self.heading in ("auto", "gyrocompass")
+        return automatic or self.mode == "gyrocompassing"
 
     @property
     def attitude_std(self) -> tuple[float, float, float]:
@@ -111,8 +140,13 @@ class InitialParameters:
                 "parameter 'initial.topic' must be a topic that is none of "
                 f"{', '.join(_NO_INITIAL_TOPIC)}, got {shown(self.topic)}"
             )
+        if self.heading != "auto" and self.mode != "auto":
+            raise ParameterError(
+                "parameter 'initial.heading' must be 'auto' where initial.mode is not 'auto', got "
+                f"'{self.heading}' with the mode '{self.mode}'"
+            )
         least = _LEAST_BLOCKS * self.levelling_time
-        if self.mode == "gyrocompassing" and self.gyrocompass_time < least:
+        if self.may_gyrocompass and self.gyrocompass_time < least:
             raise ParameterError(
                 f"parameter 'initial.gyrocompass_time' must be at least {_LEAST_BLOCKS} times "
                 f"initial.levelling_time ({least:g} s), got {self.gyrocompass_time!r}"

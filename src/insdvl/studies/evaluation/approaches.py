@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from insdvl.navigation.parameters import FilterParameters
-from insdvl.parameters.declaration import build
+from insdvl.parameters.declaration import build, flatten
+from insdvl.simulation.initial_errors import P_0
 from insdvl.simulation.trajectories import AUV
 from insdvl.tuner.features.closed_form import degree_5
 from insdvl.tuner.models import Model, ModelError, load_model
@@ -137,6 +138,7 @@ class Setting:
             "origin.latitude_deg": float(np.degrees(AUV.lat_0)),
             "origin.longitude_deg": float(np.degrees(AUV.lon_0)),
             "origin.height": AUV.h_0,
+            **flatten(P_0, "initial."),
             "initial.mode": "set_odometry",
             "gate.enabled": self.gate,
             "process_noise.accelerometer_variance": (float(variances[0]),) * 3,

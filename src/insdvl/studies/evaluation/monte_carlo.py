@@ -19,8 +19,8 @@ from insdvl.navigation.error_state import ACCELEROMETER_BIAS, ATTITUDE, GYROSCOP
 from insdvl.navigation.events import NS, Event, Initial, ProcessNoise
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.odometry import position_in_odom
-from insdvl.navigation.parameters import FilterParameters, InitialParameters
-from insdvl.simulation.initial_errors import drawn_initial
+from insdvl.navigation.parameters import FilterParameters
+from insdvl.simulation.initial_errors import P_0, drawn_initial
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import SCENARIOS, ProfileFactory, segments
 from insdvl.simulation.trajectories import AUV
@@ -107,7 +107,7 @@ def initial_of_run(mission: Mission, study: Study, split: int, run: int) -> Init
     """Initial state of the filters in a run: the truth with an error drawn from P_0."""
     stream = np.random.SeedSequence(study.seed, spawn_key=(_INITIAL, split, run))
     rng = np.random.default_rng(stream)
-    return drawn_initial(mission.initial, InitialParameters(), rng, stamp_ns=mission.start_ns)
+    return drawn_initial(mission.initial, P_0, rng, stamp_ns=mission.start_ns)
 
 
 class Run:

@@ -17,9 +17,9 @@ from insdvl.messages.topics import DEPTH, IMU, measurement_of
 from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.frames import ENU, rpy_from_rotation
 from insdvl.navigation.odometry import Odometry
-from insdvl.navigation.parameters import FilterParameters, InitialParameters
-from insdvl.parameters.declaration import build
-from insdvl.simulation.initial_errors import drawn_initial
+from insdvl.navigation.parameters import FilterParameters
+from insdvl.parameters.declaration import build, flatten
+from insdvl.simulation.initial_errors import P_0, drawn_initial
 from insdvl.simulation.mission import Mission
 from insdvl.studies.faults.stream import Arrival, Sensors, Stream, learned_from
 from insdvl.timeline.fold import Fold
@@ -106,10 +106,11 @@ def parameters_of(
         seed: Random seed of the error.
         changes: Further parameters, by name.
     """
-    sigma, rng = InitialParameters(), np.random.default_rng([seed, 2])
-    initial = drawn_initial(mission.truth, sigma, rng, with_position=False)
+    rng = np.random.default_rng([seed, 2])
+    initial = drawn_initial(mission.truth, P_0, rng, with_position=False)
     force, turn = sensors.variances
     values = {
+        **flatten(P_0, "initial."),
         "imu.rate": sensors.rate,
         "process_noise.accelerometer_variance": (force,) * 3,
         "process_noise.gyroscope_variance": (turn,) * 3,

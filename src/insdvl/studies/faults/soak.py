@@ -22,7 +22,8 @@ from insdvl.navigation.geometry.frames import ENU, rpy_from_rotation
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.state import State
-from insdvl.parameters.declaration import build
+from insdvl.parameters.declaration import build, flatten
+from insdvl.simulation.initial_errors import P_0
 from insdvl.simulation.mission import ImuModel, Mission, simulate
 from insdvl.simulation.noise import SCENARIOS
 from insdvl.simulation.trajectories import LOOP
@@ -51,6 +52,7 @@ def start_parameters() -> dict[str, Any]:
     """The filter's parameters for the beginning of any hour, by name."""
     truth = LOOP.truth(np.zeros(1))
     return {
+        **flatten(P_0, "initial."),
         "initial.rpy": tuple(rpy_from_rotation(ENU.attitude(truth.C_o_b[0])).tolist()),
         "initial.velocity": tuple((ENU.body @ truth.C_n_b[0].T @ truth.v_n[0]).tolist()),
         "origin.height": LOOP.h_0,

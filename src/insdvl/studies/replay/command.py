@@ -21,6 +21,7 @@ from insdvl.studies.replay.output_bag import write_bag
 from insdvl.studies.replay.scores import report
 from insdvl.studies.replay.text import table_of
 from insdvl.tuner.parameters import TunerParameters
+from insdvl.watch.start import waits_for
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -89,7 +90,10 @@ def _replay(arguments: argparse.Namespace) -> None:
             q_from = f"external, learned by {tuner.model}"
     replayed = fold_recording(recording, filter_)
     if not replayed.initialised.size:
-        raise BagError(f"the filter was never initialised (initial.mode {filter_.initial.mode!r})")
+        raise BagError(
+            f"the filter was never initialised (initial.mode {filter_.initial.mode!r}): it waits "
+            f"for {waits_for(filter_)}"
+        )
     document = report(recording, replayed)
     document |= {
         "bag": str(arguments.bag),

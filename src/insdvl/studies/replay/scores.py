@@ -28,7 +28,7 @@ from insdvl.studies.replay.fold import Replayed
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.output import FoldResult
 from insdvl.watch.consistency import scaled_nis
-from insdvl.watch.heading_at_start import heading_at_start
+from insdvl.watch.start import large_biases, report_of_start
 
 DVL = Dvl.name
 LAGS = 10  # of the autocorrelation
@@ -174,8 +174,12 @@ def report(recording: Sequence[Raw], replayed: Replayed) -> dict[str, Any]:
     known = replayed.initialised
     times_ns = fold.states["nav"]["time_ns"][known]
     document = errors_of(fold, *truth_of(recording))
-    initial = fold.filter.parameters.initial
-    heading = heading_at_start(fold.states[-1], initial) if known.size else None
+    start, findings = None, []
+    if known.size:
+        last = fold.states[-1]
+        started = report_of_start(fold.filter, last)
+        start = started.text or None
+        findings = [f for f in (started.missing, *large_biases(fold.filter, last)) if f]
     for name in dict.fromkeys(replayed.measurements.values()):
         document |= _updates_of(name, replayed)
     return document | {
@@ -188,5 +192,6 @@ def report(recording: Sequence[Raw], replayed: Replayed) -> dict[str, Any]:
         "counts": fold.counts,
         "rejected": {str(key): count for key, count in replayed.refused.items()},
         "frames": replayed.findings,
-        "start": heading[1] if heading else None,
+        "start": start,
+        "findings": [finding for finding in findings if finding != start],
     }

@@ -32,6 +32,7 @@ def table_of(document: dict[str, Any]) -> str:
         lines.append(f"{'time jumps':32} {jumps}; errors are those after the last one")
     if document["start"]:
         lines.append(f"start: {document['start']}")
+    lines += [f"finding: {finding}" for finding in document["findings"]]
     lines += [f"{'not used: ' + key:32} {count}" for key, count in document["rejected"].items()]
     lines += [f"frames: {finding}" for finding in document["frames"]]
     return "\n".join(lines)

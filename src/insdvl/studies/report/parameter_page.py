@@ -53,7 +53,8 @@ TO_SET: Mapping[str, str] = MappingProxyType(
         "origin.latitude_deg": "Gravity and the turn rate of the Earth depend on it; a degree is "
         "enough. With `origin.source: topic` the first fix tells it.",
         "initial.mode": "Where position, velocity and heading come from at the start. The default "
-        "assumes rest and heading 0, and the DVL does not correct a wrong heading.",
+        "assumes nothing; a heading that no sensor tells is unknown until `initial.heading` or "
+        "set_odometry tells it.",
         "process_noise.source": "`external` uses the tuner's learned Q, `constant` the two "
         "variances below.",
         "process_noise.accelerometer_variance": "The noise of your accelerometer per sample: the "
