@@ -387,7 +387,7 @@ def test_channels_that_are_not_believed_are_told_until_they_move_again() -> None
     f.samples(1, 121)
     statuses = f.look()
     assert wrong(statuses) == {"imu": WARN}
-    assert "had a frozen channel, which is not used" in statuses["imu"].message
+    assert "had a frozen channel" in statuses["imu"].message
     f.noise = 1e-7
     f.samples(121, 130)
     assert wrong(f.look(10.0)) == {}

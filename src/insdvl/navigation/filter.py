@@ -399,10 +399,10 @@ class Filter:
             reason = "bad_covariance" if np.isnan(now.nis) else "not_finite"
             return self._report(event, now, False, reason)
         shown.advance(s, self.vehicle, stamp_ns)
-        now, accepted, reason = gate.judge(s, stamp_ns, now)
+        used, accepted, reason = gate.judge(s, stamp_ns, now)
         report = self._report(event, now, accepted, reason)
         if report.corrected:
-            self._correct(state, event, turn, now)
+            self._correct(state, event, turn, used)
         memory["judged_ns"] = stamp_ns
         return report
 

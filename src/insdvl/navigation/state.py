@@ -109,6 +109,7 @@ _GATE = (
     Field("readings", UNKNOWN, (READINGS, MAX_ROWS)),
     Field("repeats", COUNT),
     Field("left", NUMBER, (MAX_ROWS,)),  # innovation that the last accepted one left
+    Field("drifts", COUNT),  # whether that was far from fitting, without a step of the sensor
     # For how long the sensor has borne the filter out [ns]; since when all are rejected, the first
     # innovation, and for how long that may go on [ns]; when the filter gave in to the sensor
     Field("trusted_for", COUNT),

@@ -169,11 +169,15 @@ def test_the_gate_has_as_many_degrees_of_freedom_as_were_measured(probability: f
     settings = replace(parameters(), gate=GateParameters(probability=probability))
     pings = pings_of(m, None, AXIS_Y)
     before = fly(settings, m, pings).updates[-1].report
-    for factor, accepted in ((0.999, True), (1.001, False)):
-        scale = factor * np.sqrt(chi2.ppf(probability, 2) / before.nis)
+    gains = []
+    for square in (0.5, 0.999, 1.2):  # beyond the limit it is used softly
+        scale = np.sqrt(square * chi2.ppf(probability, 2) / before.nis)
         v_d = pings[-1].v_d + (scale - 1.0) * before.innovation
-        report = fly(settings, m, [*pings[:-1], replace(pings[-1], v_d=v_d)]).updates[-1].report
-        assert report.accepted == accepted
+        result = fly(settings, m, [*pings[:-1], replace(pings[-1], v_d=v_d)])
+        left = result.states["gate"]["dvl"]["left"][-1, 0]
+        gains.append(1.0 - left / result.updates[-1].report.innovation[0])
+    assert gains[1] == pytest.approx(gains[0], rel=1e-3)
+    assert gains[2] == pytest.approx(gains[0] / 1.2, rel=1e-2)
 
 
 def test_an_axis_that_is_never_measured_is_covered() -> None:

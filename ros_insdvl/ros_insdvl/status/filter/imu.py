@@ -21,8 +21,15 @@ MISSING_SHARE = 0.005
 #: Stamps from which the rate is taken.
 STAMPS, FEWEST_STAMPS = 200, 10
 
-#: Parameters that decide which channels are not used.
-_DECLARED = {"saturated": "acceleration_range and imu.rate_range", "frozen": "frozen_samples"}
+#: Samples that are not used, and what to check.
+_NOT_USED = {
+    "saturated": "had a saturated channel: check the IMU, or imu.acceleration_range and "
+    "imu.rate_range",
+    "frozen": "had a frozen channel: check the IMU, or imu.frozen_samples",
+    "glitches": "left their neighbours in a channel and were not believed: check the IMU and its "
+    "cable",
+    "no_data": "had a specific force of exactly zero, which gravity never is: check the driver",
+}
 
 #: Events of `Imu.counts`.
 EXPECTED, ARRIVED = "samples expected", "samples arrived"
@@ -68,18 +75,17 @@ class Imu(Cause):
                 f"{RECENT:.0f} s: samples are lost, check the driver and the network; sigma grows "
                 "by the unseen motion",
             )
-        for name, parameter in _DECLARED.items():
+        for name, what in _NOT_USED.items():
             if count := view.events.recent[name]:
                 status.complain(
                     WARN,
                     name,
-                    f"{count} samples in the last {RECENT:.0f} s had a {name} channel, which is "
-                    f"not used: check the IMU, or imu.{parameter}; sigma grows by the unseen "
+                    f"{count} samples in the last {RECENT:.0f} s {what}; sigma grows by the unseen "
                     "motion",
                 )
         view.show(status, IMU)
         self._report_rate(status, view)
-        view.show_events(status, "gaps", *_DECLARED)
+        view.show_events(status, "gaps", *_NOT_USED)
         return status
 
     def _report_all_refused(self, status: Status, view: View) -> None:

@@ -69,7 +69,7 @@ class Gate:
     def start(self, s: State) -> None:
         """Nothing has borne the filter out yet."""
         g = self._memory(s)
-        g["trusted_for"], g["claim"] = 0, 0.0
+        g["trusted_for"], g["drifts"], g["claim"] = 0, 0, 0.0
         g["doubt_until_ns"] = g["gave_in_ns"] = NEVER
         _trust_sensor(g)
 
@@ -113,6 +113,7 @@ class Gate:
                     g["doubt_until_ns"] = g["rejected_from_ns"] + g["patient_for"]
         if not goes_on:
             if not fair.nis > limit:
+                g["drifts"] = 0
                 self._note_claim(g, now)
                 return now, True, ""
             if not self._is_fault(s, stamp_ns, fair, limit):
@@ -173,11 +174,14 @@ class Gate:
     ) -> Innovated:
         """A misfit that is no fault of the sensor: with a noise that brings its NIS to the limit.
 
-        One that is far beyond it tells that the filter has drifted: its covariance is inflated.
+        A second one in a row far beyond the limit tells that the filter has drifted: its covariance
+        is inflated.
         """
-        if fair.nis <= FAULT * limit:
+        g = self._memory(s)
+        again, g["drifts"] = bool(g["drifts"]), fair.nis > FAULT * limit
+        if not (again and g["drifts"]):
             return self._again(s, now, now.R + (fair.nis / limit - 1.0) * fair.S)
-        seconds = (stamp_ns - int(self._memory(s)["accepted_ns"])) / NS
+        seconds = (stamp_ns - int(g["accepted_ns"])) / NS
         self._model.inflate(s, now.innovation, seconds)
         s["counters"]["inflations"] += 1
         return self._again(s, now, now.R)

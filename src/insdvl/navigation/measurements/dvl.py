@@ -245,7 +245,7 @@ class DvlModel(SensorModel[Dvl]):
         return not event.v_d.any()
 
     def velocity(self, event: Dvl, turn: Turn) -> tuple[Array, Array] | None:
-        """v_b = C_b_d v_d - w x l, l being the arm from base_link; None if a component is missing."""
+        """v_b = C_b_d v_d - w x l with the arm l from base_link; None without one component."""
         if not all(event.measured):
             return None
         l_x = cross_matrix(self._l_b + self._vehicle.l_b_imu)
