@@ -32,7 +32,7 @@ from insdvl.timeline.fold import Fold
 from insdvl.timeline.jumps import TimeJump
 from insdvl.timeline.output import AppliedUpdate
 from insdvl.timeline.state_file import StateFile
-from insdvl.watch.alignment import FrameCheck
+from insdvl.watch.alignment import AlignmentCheck
 from ros_insdvl.conversions import message_class
 from ros_insdvl.execution import run_node
 from ros_insdvl.node import InsdvlNode
@@ -61,7 +61,7 @@ def compile_kernels(parameters: FilterParameters) -> None:
             output_delay=0.0,
         )
     )
-    check = FrameCheck(parameters)
+    check = AlignmentCheck(parameters)
     step = round(NS / parameters.imu.rate)
     events: list[Event] = [
         ImuSample(k * step, np.array([0.0, 0.0, -9.8]), np.zeros(3)) for k in range(1, 5)

@@ -435,7 +435,7 @@ from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.timeline.fold import Fold
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build
-from insdvl.watch.alignment import FrameCheck
+from insdvl.watch.alignment import AlignmentCheck
 from ros_insdvl.filter import compile_kernels
 
 def signatures():
@@ -448,7 +448,7 @@ def late_compilations(values):
     compile_kernels(parameters)
     compiled = signatures()
     assert compiled
-    fold, check, rng = Fold(parameters), FrameCheck(parameters), np.random.default_rng(1)
+    fold, check, rng = Fold(parameters), AlignmentCheck(parameters), np.random.default_rng(1)
     events = [Initial(NS + 1, np.eye(3), np.zeros(3), np.zeros(3), "body")]
     for k in range(100, 3000):
         noise = 0.1 * rng.standard_normal(6)

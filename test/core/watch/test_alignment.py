@@ -19,7 +19,7 @@ from insdvl.simulation.trajectories import AUV, BASELINE, LOOP, STATIC
 from insdvl.studies.replay.fold import fold_recording
 from insdvl.studies.replay.scores import report
 from insdvl.watch import alignment
-from insdvl.watch.alignment import FrameCheck
+from insdvl.watch.alignment import AlignmentCheck
 
 Array = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ def events(mission: Mission, f: Array = SAME, w: Array = SAME, d: Array = SAME) 
 
 
 def check(found: Iterable[Event], **parameters: Any) -> list[str]:
-    watch = FrameCheck(build(FilterParameters, parameters))
+    watch = AlignmentCheck(build(FilterParameters, parameters))
     for event in found:
         watch.add(event)
     return watch.findings()
@@ -170,7 +170,7 @@ def test_two_reversed_axes_are_named(mission: Mission) -> None:
 )
 def test_a_right_mission_is_never_accused(trajectory: Any, scenario: str) -> None:
     mission = simulate(trajectory, SCENARIOS[scenario], seed=4, duration=300.0)
-    watch = FrameCheck(FilterParameters())
+    watch = AlignmentCheck(FilterParameters())
     for k, event in enumerate(events(mission)):
         watch.add(event)
         if k % 500 == 0:
@@ -196,7 +196,7 @@ def test_errors_of_the_sensors_are_no_wrong_axes() -> None:
             outlier_probability=0.05,
         ),
     )
-    watch = FrameCheck(build(FilterParameters, {"dvl.lever_arm": lever_arm}))
+    watch = AlignmentCheck(build(FilterParameters, {"dvl.lever_arm": lever_arm}))
     for k, event in enumerate(events(mission)):
         watch.add(event)
         assert k % 50 or not watch.findings()  # a finding takes 10 s of samples
@@ -238,7 +238,7 @@ def test_the_order_of_arrival_does_not_matter_much(mission: Mission) -> None:
 
 
 def test_a_gap_begins_a_new_window(mission: Mission) -> None:
-    watch = FrameCheck(FilterParameters())
+    watch = AlignmentCheck(FilterParameters())
     for event in events(mission):
         if isinstance(event, Imu) and event.stamp_ns % (15 * NS) < 2 * NS:
             continue
@@ -249,7 +249,7 @@ def test_a_gap_begins_a_new_window(mission: Mission) -> None:
 
 def test_memory_is_bounded() -> None:
     """Of DVL measurements that wait for ever, come too often, and of samples without any."""
-    watch = FrameCheck(FilterParameters())
+    watch = AlignmentCheck(FilterParameters())
     f, v = np.array([0.0, 0.0, -9.8]), np.array([1.0, 0.0, 0.0])
     for k in range(2000):
         watch.add(Dvl(k, v))

@@ -1,0 +1,382 @@
+"""How the DVL is mounted against the IMU, from windows of motion.
+
+The derivation is in docs/explanation/alignment.md. With the right values, in each window
+
+    y(t) = R (C v_d - kappa w x l) - kappa F,   kappa = 1 / scale,
+
+is a parabola in t but for the noise of the DVL; the scale stands at the IMU's side, so that this
+noise, which is in v_d, is the same for every C and does not bias it.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.spatial.transform import Rotation
+
+from insdvl.arrays import Array
+from insdvl.watch.windows import Window, joined
+
+#: Columns of the unknowns: a turn of the DVL [rad], ln(kappa), change of the lever arm [m], delay
+#: of the DVL [s], biases [m/s^2, rad/s], relative error of the gyroscope's scale.
+MOUNT = slice(0, 3)
+YAW = 2
+SCALE = 3
+ARM = slice(4, 7)
+DELAY = 7
+ACCELEROMETER = slice(8, 11)
+GYROSCOPE = slice(11, 14)
+GYROSCOPE_SCALE = 14
+SIZE = 15
+
+CLIMB = 0.1  # one sigma of the mean vertical velocity, as a part of the speed
+SLOW = range(3, 7)  # degrees of the polynomials that hold the slow part of a residual
+_STEPS = 15
+_LINEAR_STEPS = 6
+_POOLED = 4  # steps with one noise of all windows, before each has its own
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is thought of the unknowns before any motion: independent normal distributions.
+
+    Attributes:
+        mean: (15,).
+        sigma: (15,).
+    """
+
+    mean: Array
+    sigma: Array
+
+
+@dataclass(frozen=True)
+class Bases:
+    """Orthonormal polynomials of a window's times.
+
+    Attributes:
+        parabola: (K, 3) degrees 0 to 2.
+        slow: (K, 4) degrees 3 to 6.
+    """
+
+    parabola: Array
+    slow: Array
+
+    @classmethod
+    def of(cls, t: Array) -> "Bases":
+        """The bases of times (K,), K at least 8."""
+        x = 2.0 * t / t[-1] - 1.0
+        q, _ = np.linalg.qr(np.polynomial.legendre.legvander(x, SLOW[-1]))
+        return cls(q[:, : SLOW[0]], q[:, SLOW[0] :])
+
+
+@dataclass(frozen=True)
+class Mounted:
+    """The mount of the DVL as the parameters tell it, in body axes.
+
+    Attributes:
+        C_b_d: (3, 3) DVL to body.
+        l_b: (3,) from the IMU to the DVL [m].
+    """
+
+    C_b_d: Array
+    l_b: Array
+
+
+def _skews(a: Array) -> Array:
+    """[a x] (..., 3, 3)."""
+    out = np.zeros((*a.shape, 3))
+    out[..., 0, 1], out[..., 0, 2] = -a[..., 2], a[..., 1]
+    out[..., 1, 0], out[..., 1, 2] = a[..., 2], -a[..., 0]
+    out[..., 2, 0], out[..., 2, 1] = -a[..., 1], a[..., 0]
+    return out
+
+
+def rows(w: Window, known: Mounted, x: Array) -> Array:
+    """Partial derivatives of y by the unknowns, and y itself in the last column (K, 3, 16).
+
+    Args:
+        w: K pings.
+        known: The mount from which the unknowns count.
+        x: (15,) values of the unknowns.
+    """
+    kappa = math.exp(x[SCALE])
+    turned = w.v_d @ (Rotation.from_rotvec(x[MOUNT]).as_matrix() @ known.C_b_d).T
+    of_arm = np.cross(w.w, known.l_b + x[ARM])
+    u = turned - kappa * of_arm
+    Ru = np.einsum("kij,kj->ki", w.R, u)
+    R_turned = np.einsum("kij,kj->ki", w.R, turned)
+    angle = w.Phi @ x[GYROSCOPE] + w.xi * x[GYROSCOPE_SCALE]
+    F = w.F - w.Phi @ x[ACCELEROMETER] - w.Psi @ x[GYROSCOPE] - w.Xi * x[GYROSCOPE_SCALE]
+    moved = np.einsum("kij,kj->ki", w.R, np.cross(w.w, u) - kappa * w.f)
+    out = np.empty((len(w.t), 3, SIZE + 1))
+    out[:, :, MOUNT] = -w.R @ _skews(turned)
+    out[:, :, SCALE] = Ru - R_turned - kappa * F
+    out[:, :, ARM] = -kappa * (w.R @ _skews(w.w))
+    out[:, :, DELAY] = -moved
+    out[:, :, ACCELEROMETER] = kappa * w.Phi
+    out[:, :, GYROSCOPE] = _skews(Ru) @ w.Phi + kappa * w.Psi
+    out[:, :, GYROSCOPE_SCALE] = np.cross(Ru, w.xi) + kappa * w.Xi
+    out[:, :, -1] = Ru - np.cross(angle, Ru) - kappa * F - x[DELAY] * moved
+    return out
+
+
+@dataclass(frozen=True)
+class Information:
+    """Products of the rows of W windows, without their parabolas, and of their slow parts.
+
+    Attributes:
+        all: (W, 16, 16).
+        slow: (W, 16, 16).
+        dof: (W,) number of residuals.
+        climb: (16, 16) of the vehicle's travel being level, in units of its variance.
+    """
+
+    all: Array
+    slow: Array
+    dof: Array
+    climb: Array
+
+    @classmethod
+    def of(cls, items: Sequence[tuple[Array, Array, float]], climb: Array) -> "Information":
+        """From what `information` gives for each window, and from `Travel.row`."""
+        alls, slows, dofs = zip(*items, strict=True)
+        return cls(np.array(alls), np.array(slows), np.array(dofs), np.outer(climb, climb))
+
+
+@dataclass(frozen=True)
+class Travel:
+    """How the vehicle moves on the whole.
+
+    A constant vertical velocity changes nothing in a turn, so that a wrong scale looks like a DVL
+    that is pitched. But few vehicles climb or dive all the time.
+
+    Attributes:
+        v_d: (3,) mean velocity in DVL axes.
+        speed: Its RMS.
+        up: (3,) mean direction of the specific force in body axes.
+    """
+
+    v_d: Array
+    speed: float
+    up: Array
+
+    @classmethod
+    def of(cls, v_d: Array, f: Array) -> "Travel":
+        """Of readings of the DVL (K, 3) and of the accelerometer (K, 3)."""
+        up = f.mean(axis=0)
+        speed = float(np.sqrt((v_d**2).sum(axis=1).mean()))
+        return cls(v_d.mean(axis=0), speed, up / np.linalg.norm(up))
+
+    def row(self, known: Mounted, x: Array) -> Array:
+        """Derivatives (16,) by the unknowns of the mean climb, and itself, divided by its sigma."""
+        C = Rotation.from_rotvec(x[MOUNT]).as_matrix() @ known.C_b_d
+        v_b = C @ self.v_d / self.speed
+        row = np.zeros(SIZE + 1)
+        row[MOUNT] = np.cross(v_b, self.up)
+        row[-1] = v_b @ self.up
+        return row / CLIMB
+
+
+def information(a: Array, bases: Bases) -> tuple[Array, Array, float]:
+    """Products (16, 16) of a window's rows and of their slow parts, and the number of residuals."""
+    K, _, n = a.shape
+    flat = a.reshape(K, -1)
+    flat = flat - bases.parabola @ (bases.parabola.T @ flat)
+    slow = (bases.slow.T @ flat).reshape(-1, n)
+    flat = flat.reshape(-1, n)
+    return flat.T @ flat, slow.T @ slow, 3.0 * (K - SLOW[0])
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Variance (W,) of a residual in each window, and by how much the slow part exceeds it."""
+
+    variance: Array
+    excess: float
+
+    @property
+    def weights(self) -> Array:
+        """(W,) of the products."""
+        return 1.0 / (self.variance * self.excess)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The most probable values of the unknowns under a prior.
+
+    Attributes:
+        values: (15,).
+        covariance: (15, 15).
+        noise: Of the windows, as the residuals show it.
+        dof: (W,) number of residuals.
+        volume: ln of the share of the prior's volume that the data leave, twice, and negative; with
+            the squared distance from its mean, and of the climb from none.
+    """
+
+    values: Array
+    covariance: Array
+    noise: Noise
+    dof: Array
+    volume: float
+
+    @property
+    def sigma(self) -> Array:
+        """(15,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def cost(self, excess: float) -> float:
+        """-2 ln of the evidence (Laplace), the noise of each window being unknown.
+
+        Args:
+            excess: By how much the slow part of the noise exceeds the rest: as many residuals count
+                as one.
+        """
+        return float(self.dof @ np.log(self.noise.variance)) / excess + self.volume
+
+
+def _squares(products: Array, step: Array) -> Array:
+    """(W,) sums of squares after a step of the unknowns."""
+    x = np.append(step, 1.0)
+    return np.maximum(np.einsum("wij,i,j->w", products, x, x), 0.0)
+
+
+def noise_after(info: Information, step: Array, floor: float, *, pooled: bool = False) -> Noise:
+    """The noise that a step of the unknowns leaves."""
+    squares = _squares(info.all, step)
+    variance = squares / info.dof + floor
+    if pooled:
+        variance = np.full(len(variance), squares.sum() / info.dof.sum() + floor)
+    slow = _squares(info.slow, step) / (3 * len(SLOW)) / variance
+    return Noise(variance, max(1.0, float(slow.mean())))
+
+
+def _step(info: Information, at: Array, prior: Prior, noise: Noise) -> tuple[Array, Array]:
+    """Step (15,) from `at` to the most probable values of the linear problem, and covariance."""
+    N = np.einsum("w,wij->ij", noise.weights, info.all)
+    N += info.climb
+    factor = cho_factor(N[:-1, :-1] + np.diag(prior.sigma**-2))
+    step = cho_solve(factor, -N[:-1, -1] - (at - prior.mean) / prior.sigma**2)
+    return step, cho_solve(factor, np.eye(SIZE))
+
+
+def _fit(info: Information, values: Array, step: Array, prior: Prior, noise: Noise) -> Fit:
+    """The fit that ends in values + step."""
+    _, covariance = _step(info, values, prior, noise)
+    distance = (values + step - prior.mean) / prior.sigma
+    squares = float(distance @ distance) + float(_squares(info.climb[None], step)[0])
+    volume = 2.0 * float(np.log(prior.sigma).sum()) - float(np.linalg.slogdet(covariance)[1])
+    return Fit(values + step, covariance, noise, info.dof, squares + volume)
+
+
+def linear_spread(info: Information, fit: Fit, prior: Prior) -> Array:
+    """Covariance (15, 15) of the values of a linear fit under another prior."""
+    return _step(info, np.zeros(SIZE), prior, fit.noise)[1]
+
+
+def linear_fit(info: Information, prior: Prior, floor: float) -> Fit:
+    """A fit near zero, where the problem is linear."""
+    step, at = np.zeros(SIZE), np.zeros(SIZE)
+    for k in range(_LINEAR_STEPS):
+        noise = noise_after(info, step, floor, pooled=k < 2)
+        step, _ = _step(info, at, prior, noise)
+    return _fit(info, at, step, prior, noise_after(info, step, floor))
+
+
+class Problem:
+    """The windows of one mission, whose unknowns are estimated.
+
+    Args:
+        windows: Of the motion, at least one.
+        bases: Of each.
+        known: The mount from which the unknowns count.
+        floor: Variance that no DVL is below [(m/s)^2].
+    """
+
+    def __init__(
+        self, windows: Sequence[Window], bases: Sequence[Bases], known: Mounted, floor: float
+    ) -> None:
+        self._all = joined(windows)
+        ends = np.cumsum([len(w.t) for w in windows]).tolist()
+        self._slices = [slice(a, b) for a, b in zip([0, *ends], ends, strict=False)]
+        self._travel = Travel.of(self._all.v_d, self._all.f)
+        self._bases = bases
+        self._known = known
+        self._floor = floor
+
+    def at(self, values: Array) -> Information:
+        """The linear problem at some values (15,)."""
+        a = rows(self._all, self._known, values)
+        return Information.of(
+            [information(a[s], b) for s, b in zip(self._slices, self._bases, strict=True)],
+            self._travel.row(self._known, values),
+        )
+
+    def fit(self, prior: Prior, start: Array) -> Fit:
+        """Gauss-Newton from a start (15,)."""
+        values, here = start, np.zeros(SIZE)
+        info = self.at(values)
+        for k in range(_STEPS):
+            noise = noise_after(info, here, self._floor, pooled=k < _POOLED)
+            step, _ = _step(info, values, prior, noise)
+            size = max(np.abs(step[MOUNT]).max() / 0.5, abs(step[SCALE]), abs(step[DELAY]) / 0.5)
+            step = step / max(size, 1.0)
+            turn = Rotation.from_rotvec(step[MOUNT]) * Rotation.from_rotvec(values[MOUNT])
+            values = values + step
+            values[MOUNT] = turn.as_rotvec()
+            info = self.at(values)
+            if k >= _POOLED and (np.abs(step) < 1e-2 * prior.sigma).all():
+                break
+        return _fit(info, values, here, prior, noise_after(info, here, self._floor))
+
+    def spread(self, fit: Fit, prior: Prior) -> Array:
+        """Covariance (15, 15) of a fit's values under another prior."""
+        return _step(self.at(fit.values), fit.values, prior, fit.noise)[1]
+
+    def starts(self, prior: Prior, *, level: bool) -> list[Array]:
+        """Two values (15,) from which Gauss-Newton finds a turn of any angle.
+
+        They are the best of some turns: of those about the vertical by half right angles, and, if
+        it need not be level, of the 24 by right angles.
+        """
+        turns = Rotation.from_rotvec([[0.0, 0.0, k * math.pi / 4.0] for k in range(8)])
+        if not level:
+            turns = Rotation.concatenate([turns, Rotation.create_group("O")])
+        products = self._of_turns()
+        misfits = []
+        for turn in turns:
+            x = np.append(turn.as_matrix().ravel(), -math.exp(prior.mean[SCALE]))
+            misfits.append(float(x @ products @ x))
+        found = []
+        for k in np.argsort(misfits)[:2]:
+            start = np.zeros(SIZE)
+            start[MOUNT] = turns[int(k)].as_rotvec()
+            start[SCALE] = prior.mean[SCALE]
+            found.append(start)
+        return found
+
+    def rolled(self, fit: Fit) -> list[Array]:
+        """The values of a fit, with further turns by right angles about the direction of travel.
+
+        These are what the motion tells least.
+        """
+        turn = Rotation.from_rotvec(fit.values[MOUNT])
+        along = turn.as_matrix() @ self._known.C_b_d @ self._all.v_d.mean(axis=0)
+        along /= max(float(np.linalg.norm(along)), 1e-9)
+        found = []
+        for quarter in range(1, 4):
+            start = fit.values.copy()
+            rolled = Rotation.from_rotvec(along * quarter * math.pi / 2.0) * turn
+            start[MOUNT] = rolled.as_rotvec()
+            found.append(start)
+        return found
+
+    def _of_turns(self) -> Array:
+        """Products (10, 10) of R C v_d, linear in the nine elements of a turn, and of F."""
+        w = self._all
+        a = np.einsum("kai,kj->kaij", w.R, w.v_d @ self._known.C_b_d.T).reshape(-1, 3, 9)
+        F = w.F + np.einsum("kij,kj->ki", w.R, np.cross(w.w, self._known.l_b))
+        both = np.concatenate([a, F[:, :, None]], axis=2)
+        parts = [information(both[s], b)[0] for s, b in zip(self._slices, self._bases, strict=True)]
+        return np.sum(parts, axis=0)

@@ -1,0 +1,243 @@
+"""Which cause explains the motion best, and which others explain it nearly as well."""
+
+import math
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from insdvl.arrays import Array, Stamps
+from insdvl.watch.causes import NOTHING, TURNS, Cause, Miswired
+from insdvl.watch.estimation import (
+    SCALE,
+    SIZE,
+    Bases,
+    Fit,
+    Information,
+    Mounted,
+    Prior,
+    Problem,
+    Travel,
+    information,
+    linear_fit,
+    linear_spread,
+    rows,
+)
+from insdvl.watch.windows import Window, integrated
+
+SMALLEST = 1e-3  # m/s, noise of a DVL; none is better
+ACCUSED = 2.0 * math.log(1e4)  # twice the log of the odds against right parameters
+AS_GOOD = 2.0 * math.log(1e2)  # of the odds up to which another cause is named as well
+FREE = Cause(frozenset(["mount", "scale", "arm", "delay"]))
+BEAM = 2  # most probable causes to which one thing more is added
+UNEXPLAINED = 1.5  # excess of the slow part of a residual, from which all causes are tried
+
+
+@dataclass(frozen=True)
+class Samples:
+    """What a window was made of, see `integrated`."""
+
+    stamps: Stamps
+    f: Array
+    w: Array
+    pings: Stamps
+    v_d: Array
+    average: float
+
+    def window(self, cause: Miswired | None = None) -> Window:
+        """The window, with the readings that a cause takes for right."""
+        f, w, v_d = self.f, self.w, self.v_d
+        if cause is not None:
+            f, w, v_d = f @ cause.accelerometer.T, w @ cause.gyroscope.T, v_d @ cause.dvl.T
+        return integrated(self.stamps, f, w, self.pings, v_d, self.average)
+
+
+class Motion:
+    """One window, with what every miswired sensor would make of it once that is asked for."""
+
+    def __init__(self, samples: Samples) -> None:
+        self.samples = samples
+        self.window = samples.window()
+        self.bases = Bases.of(self.window.t)
+        self.tried: list[tuple[Array, Array, float]] = []
+
+    def compute(self, causes: Sequence[Miswired], known: Mounted) -> None:
+        """Compute what each cause makes of the window."""
+        here = np.zeros(SIZE)
+        self.tried = [
+            information(rows(self.samples.window(cause), known, here), self.bases)
+            for cause in causes
+        ]
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """A cause, and the values that it gives.
+
+    Attributes:
+        cause: What is wrong.
+        fit: The values.
+        cost: -2 ln of its probability, up to a constant.
+    """
+
+    cause: Cause | Miswired
+    fit: Fit
+    cost: float
+
+    @property
+    def accuses(self) -> frozenset[str]:
+        """What is accused; two explanations of the same differ in its value only."""
+        cause = self.cause
+        if isinstance(cause, Cause):
+            names = {"mount" if block in TURNS else block for block in cause.blocks}
+            return frozenset(names | ({"scale"} if cause.unit else set()))
+        if cause.factor != 1.0:
+            return frozenset(["gyroscope scale"])
+        if cause.sensor == "DVL" and np.linalg.det(cause.matrix) > 0.0:
+            return frozenset(["mount"])
+        return frozenset([f"{cause.sensor} {cause.matrix.tolist()}"])
+
+
+class Search:
+    """Explains windows of motion.
+
+    Args:
+        known: The mount that the parameters tell.
+        causes: The miswired sensors that are tried.
+        accelerometer_bias: One sigma [m/s^2].
+        gyroscope_bias: One sigma [rad/s].
+    """
+
+    def __init__(
+        self,
+        known: Mounted,
+        causes: Sequence[Miswired],
+        accelerometer_bias: float,
+        gyroscope_bias: float,
+    ) -> None:
+        self.known = known
+        self.causes = causes
+        self._biases = (accelerometer_bias, gyroscope_bias)
+
+    def _prior(self, cause: Cause | Miswired) -> Prior:
+        return cause.prior(*self._biases)
+
+    def problem(self, motions: Sequence[Motion]) -> Problem:
+        """Of estimating the unknowns from some windows."""
+        windows, bases = [m.window for m in motions], [m.bases for m in motions]
+        return Problem(windows, bases, self.known, SMALLEST**2)
+
+    def suspects(self, motions: Sequence[Motion]) -> bool:
+        """Whether anything may be wrong: a quick answer, that is seldom yes without a reason."""
+        problem = self.problem(motions)
+        nominal = problem.fit(self._prior(NOTHING), np.zeros(SIZE))
+        if nominal.noise.excess > UNEXPLAINED:
+            return True
+        info = problem.at(np.zeros(SIZE))
+        straight = linear_fit(info, self._prior(NOTHING), SMALLEST**2)
+        return any(
+            linear_fit(info, self._prior(cause), SMALLEST**2).cost(1.0) + cause.penalty
+            < straight.cost(1.0)
+            for cause in NOTHING.more()
+        )
+
+    def explain(self, motions: Sequence[Motion]) -> Generator[None, None, list[Explanation]]:
+        """The explanations that are nearly as probable as the best one, that first.
+
+        Empty when the parameters are right, or nothing tells that they are not. One thing more is
+        taken to be wrong as long as that makes the explanation more probable. It pauses after each
+        hundredth of a second or so.
+        """
+        problem = self.problem(motions)
+        fits: dict[Cause | Miswired, Fit] = {}
+        tried = {
+            cause: Information.of([m.tried[k] for m in motions], self._climb(motions, cause))
+            for k, cause in enumerate(self.causes)
+        }
+        for cause, info in tried.items():
+            fits[cause] = linear_fit(info, self._prior(cause), SMALLEST**2)
+        yield
+        fits[NOTHING] = yield from self._fit(problem, NOTHING)
+        size, beam = 0, [NOTHING]
+        while beam and size == beam[0].size:
+            for cause in (c for b in beam for c in b.more()):
+                if cause not in fits:
+                    fits[cause] = yield from self._fit(problem, cause)
+            excess = self._excess(fits)
+            found = sorted(
+                (c for c in fits if isinstance(c, Cause)),
+                key=lambda c: fits[c].cost(excess) + c.penalty,
+            )
+            size += 1
+            beam = found[:BEAM] if found[0].size == size else []
+            beam = [c for c in beam if c.size == size]
+        excess = self._excess(fits)
+        ranked = sorted(
+            (Explanation(c, fit, fit.cost(excess) + c.penalty) for c, fit in fits.items()),
+            key=lambda e: e.cost,
+        )
+        nothing = next(e for e in ranked if e.cause is NOTHING)
+        if nothing.cost - ranked[0].cost < ACCUSED:
+            return []
+        chosen: list[Explanation] = []
+        for e in ranked:
+            if e.cost - ranked[0].cost > AS_GOOD:
+                break
+            if not any(e.accuses >= c.accuses for c in chosen):
+                chosen.append(self._spread(problem, tried, e) if "mount" in e.accuses else e)
+        return chosen
+
+    def free(self, motions: Sequence[Motion], explanation: Explanation | None) -> Fit:
+        """The unknowns with nothing known of mount, scale, lever arm and stamps.
+
+        Args:
+            motions: The windows.
+            explanation: Of the windows, with a cause that is none of miswired axes; None where the
+                parameters are right.
+        """
+        values, prior = np.zeros(SIZE), self._prior(FREE)
+        if explanation is not None and isinstance(explanation.cause, Cause):
+            values = explanation.fit.values
+            prior.mean[SCALE] = self._prior(explanation.cause).mean[SCALE]
+        return self.problem(motions).fit(prior, values)
+
+    def _climb(self, motions: Sequence[Motion], cause: Miswired) -> Array:
+        """Row (16,) of the vehicle's climb when a cause is taken for right."""
+        v_d = np.concatenate([m.window.v_d for m in motions]) @ cause.dvl.T
+        f = np.concatenate([m.window.f for m in motions]) @ cause.accelerometer.T
+        return Travel.of(v_d, f).row(self.known, np.zeros(SIZE))
+
+    def _fit(self, problem: Problem, cause: Cause) -> Generator[None, None, Fit]:
+        """The fit of a cause; it pauses after each try."""
+        prior = self._prior(cause)
+        if not cause.blocks & TURNS:
+            yield
+            return problem.fit(prior, prior.mean)
+        fits = []
+        for start in problem.starts(prior, level="yaw" in cause.blocks):
+            fits.append(problem.fit(prior, start))
+            yield
+        best = min(fits, key=lambda fit: fit.cost(1.0))
+        if "mount" in cause.blocks:
+            for start in problem.rolled(best):
+                fits.append(problem.fit(prior, start))
+                yield
+        return min(fits, key=lambda fit: fit.cost(1.0))
+
+    def _spread(
+        self, problem: Problem, tried: dict[Miswired, Information], e: Explanation
+    ) -> Explanation:
+        """An explanation by a turn, with the sigmas of one of which nothing was known."""
+        if isinstance(e.cause, Miswired):
+            prior = self._prior(Cause(frozenset(["mount"])))
+            covariance = linear_spread(tried[e.cause], e.fit, prior)
+        else:
+            prior = self._prior(replace(e.cause, blocks=e.cause.blocks - TURNS | {"mount"}))
+            covariance = problem.spread(e.fit, prior)
+        return replace(e, fit=replace(e.fit, covariance=covariance))
+
+    @staticmethod
+    def _excess(fits: dict[Cause | Miswired, Fit]) -> float:
+        """Of the noise that the most probable cause leaves."""
+        best = min(fits, key=lambda c: fits[c].cost(1.0) + c.penalty)
+        return fits[best].noise.excess
