@@ -70,6 +70,13 @@ class Bases:
         q, _ = np.linalg.qr(np.polynomial.legendre.legvander(x, SLOW[-1]))
         return cls(q[:, : SLOW[0]], q[:, SLOW[0] :])
 
+    def of_noise(self, t: Array) -> tuple[float, float]:
+        """Power of the slow part of a random walk, and of its integral, both of density one."""
+        a, b = np.minimum(t, t[:, None]), np.maximum(t, t[:, None])
+        walk, integral = a, a**2 * (3.0 * b - a) / 6.0
+        of_walk, of_integral = (np.trace(self.slow.T @ k @ self.slow) for k in (walk, integral))
+        return float(of_walk) / len(SLOW), float(of_integral) / len(SLOW)
+
 
 @dataclass(frozen=True)
 class Mounted:
@@ -167,7 +174,7 @@ class Travel:
         """Of readings of the DVL (K, 3) and of the accelerometer (K, 3)."""
         up = f.mean(axis=0)
         speed = float(np.sqrt((v_d**2).sum(axis=1).mean()))
-        return cls(v_d.mean(axis=0), speed, up / np.linalg.norm(up))
+        return cls(v_d.mean(axis=0), speed, up / max(float(np.linalg.norm(up)), 1e-9))
 
     def row(self, known: Mounted, x: Array) -> Array:
         """Derivatives (16,) by the unknowns of the mean climb, and itself, divided by its sigma."""
@@ -242,12 +249,11 @@ def _squares(products: Array, step: Array) -> Array:
     return np.maximum(np.einsum("wij,i,j->w", products, x, x), 0.0)
 
 
-def noise_after(info: Information, step: Array, floor: float, *, pooled: bool = False) -> Noise:
+def noise_after(info: Information, step: Array, floor: Array, *, pooled: bool = False) -> Noise:
     """The noise that a step of the unknowns leaves."""
     squares = _squares(info.all, step)
-    variance = squares / info.dof + floor
-    if pooled:
-        variance = np.full(len(variance), squares.sum() / info.dof.sum() + floor)
+    mean = squares.sum() / info.dof.sum() if pooled else squares / info.dof
+    variance = np.maximum(mean, floor)
     slow = _squares(info.slow, step) / (3 * len(SLOW)) / variance
     return Noise(variance, max(1.0, float(slow.mean())))
 
@@ -275,7 +281,7 @@ def linear_spread(info: Information, fit: Fit, prior: Prior) -> Array:
     return _step(info, np.zeros(SIZE), prior, fit.noise)[1]
 
 
-def linear_fit(info: Information, prior: Prior, floor: float) -> Fit:
+def linear_fit(info: Information, prior: Prior, floor: Array) -> Fit:
     """A fit near zero, where the problem is linear."""
     step, at = np.zeros(SIZE), np.zeros(SIZE)
     for k in range(_LINEAR_STEPS):
@@ -291,11 +297,11 @@ class Problem:
         windows: Of the motion, at least one.
         bases: Of each.
         known: The mount from which the unknowns count.
-        floor: Variance that no DVL is below [(m/s)^2].
+        floor: (W,) variance of a residual that is noise in any case [(m/s)^2].
     """
 
     def __init__(
-        self, windows: Sequence[Window], bases: Sequence[Bases], known: Mounted, floor: float
+        self, windows: Sequence[Window], bases: Sequence[Bases], known: Mounted, floor: Array
     ) -> None:
         self._all = joined(windows)
         ends = np.cumsum([len(w.t) for w in windows]).tolist()

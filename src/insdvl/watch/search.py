@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from insdvl.arrays import Array, Stamps
+from insdvl.navigation.events import NS
 from insdvl.watch.causes import NOTHING, TURNS, Cause, Miswired
 from insdvl.watch.estimation import (
     SCALE,
@@ -23,11 +24,13 @@ from insdvl.watch.estimation import (
     linear_spread,
     rows,
 )
+from insdvl.watch.gravity import GRAVITY
 from insdvl.watch.windows import Window, integrated
 
 SMALLEST = 1e-3  # m/s, noise of a DVL; none is better
 ACCUSED = 2.0 * math.log(1e4)  # twice the log of the odds against right parameters
 AS_GOOD = 2.0 * math.log(1e2)  # of the odds up to which another cause is named as well
+SPEED = 5.0  # m/s, one sigma of the speed of a vehicle
 FREE = Cause(frozenset(["mount", "scale", "arm", "delay"]))
 BEAM = 2  # most probable causes to which one thing more is added
 UNEXPLAINED = 1.5  # excess of the slow part of a residual, from which all causes are tried
@@ -59,7 +62,21 @@ class Motion:
         self.samples = samples
         self.window = samples.window()
         self.bases = Bases.of(self.window.t)
+        self.floor = SMALLEST**2 + self._noise()
         self.tried: list[tuple[Array, Array, float]] = []
+
+    def _noise(self) -> float:
+        """Variance [(m/s)^2] of the slow part of a residual by the noise of the IMU.
+
+        A turn by an angular random walk leaks gravity, and turns the velocity. The noise is what
+        differs from sample to sample.
+        """
+        s = self.samples
+        dt = float(np.diff(s.stamps).mean()) / NS
+        w, f = ((np.diff(a, axis=0) ** 2).mean() / 2.0 * dt for a in (s.w, s.f))
+        of_walk, of_integral = self.bases.of_noise(self.window.t)
+        speed = float((self.window.v_d**2).sum(axis=1).mean())
+        return float((w * speed + f) * of_walk + w * GRAVITY**2 * of_integral)
 
     def compute(self, causes: Sequence[Miswired], known: Mounted) -> None:
         """Compute what each cause makes of the window."""
@@ -68,6 +85,15 @@ class Motion:
             information(rows(self.samples.window(cause), known, here), self.bases)
             for cause in causes
         ]
+
+
+def _floor(motions: Sequence[Motion]) -> Array:
+    """(W,) variances of the residuals that are noise in any case.
+
+    No cause is preferred since it makes less of the IMU's noise: a gyroscope that is taken for one
+    in deg/s has little.
+    """
+    return np.array([motion.floor for motion in motions])
 
 
 @dataclass(frozen=True)
@@ -125,18 +151,18 @@ class Search:
     def problem(self, motions: Sequence[Motion]) -> Problem:
         """Of estimating the unknowns from some windows."""
         windows, bases = [m.window for m in motions], [m.bases for m in motions]
-        return Problem(windows, bases, self.known, SMALLEST**2)
+        return Problem(windows, bases, self.known, _floor(motions))
 
     def suspects(self, motions: Sequence[Motion]) -> bool:
         """Whether anything may be wrong: a quick answer, that is seldom yes without a reason."""
-        problem = self.problem(motions)
+        problem, floor = self.problem(motions), _floor(motions)
         nominal = problem.fit(self._prior(NOTHING), np.zeros(SIZE))
         if nominal.noise.excess > UNEXPLAINED:
             return True
         info = problem.at(np.zeros(SIZE))
-        straight = linear_fit(info, self._prior(NOTHING), SMALLEST**2)
+        straight = linear_fit(info, self._prior(NOTHING), floor)
         return any(
-            linear_fit(info, self._prior(cause), SMALLEST**2).cost(1.0) + cause.penalty
+            linear_fit(info, self._prior(cause), floor).cost(1.0) + cause.penalty
             < straight.cost(1.0)
             for cause in NOTHING.more()
         )
@@ -148,14 +174,14 @@ class Search:
         taken to be wrong as long as that makes the explanation more probable. It pauses after each
         hundredth of a second or so.
         """
-        problem = self.problem(motions)
+        problem, floor = self.problem(motions), _floor(motions)
         fits: dict[Cause | Miswired, Fit] = {}
         tried = {
             cause: Information.of([m.tried[k] for m in motions], self._climb(motions, cause))
             for k, cause in enumerate(self.causes)
         }
         for cause, info in tried.items():
-            fits[cause] = linear_fit(info, self._prior(cause), SMALLEST**2)
+            fits[cause] = linear_fit(info, self._prior(cause), floor)
         yield
         fits[NOTHING] = yield from self._fit(problem, NOTHING)
         size, beam = 0, [NOTHING]
@@ -163,19 +189,11 @@ class Search:
             for cause in (c for b in beam for c in b.more()):
                 if cause not in fits:
                     fits[cause] = yield from self._fit(problem, cause)
-            excess = self._excess(fits)
-            found = sorted(
-                (c for c in fits if isinstance(c, Cause)),
-                key=lambda c: fits[c].cost(excess) + c.penalty,
-            )
+            found = [e.cause for e in self._ranked(fits, motions) if isinstance(e.cause, Cause)]
             size += 1
             beam = found[:BEAM] if found[0].size == size else []
             beam = [c for c in beam if c.size == size]
-        excess = self._excess(fits)
-        ranked = sorted(
-            (Explanation(c, fit, fit.cost(excess) + c.penalty) for c, fit in fits.items()),
-            key=lambda e: e.cost,
-        )
+        ranked = self._ranked(fits, motions)
         nothing = next(e for e in ranked if e.cause is NOTHING)
         if nothing.cost - ranked[0].cost < ACCUSED:
             return []
@@ -237,7 +255,20 @@ class Search:
         return replace(e, fit=replace(e.fit, covariance=covariance))
 
     @staticmethod
-    def _excess(fits: dict[Cause | Miswired, Fit]) -> float:
-        """Of the noise that the most probable cause leaves."""
-        best = min(fits, key=lambda c: fits[c].cost(1.0) + c.penalty)
-        return fits[best].noise.excess
+    def _ranked(fits: dict[Cause | Miswired, Fit], motions: Sequence[Motion]) -> list[Explanation]:
+        """All explanations, the most probable one first.
+
+        The excess of the slow part of the noise is that which the most probable one leaves.
+        """
+        v_d = np.concatenate([m.window.v_d for m in motions])
+        square = float((v_d**2).sum(axis=1).mean())
+
+        def cost(cause: Cause | Miswired, excess: float) -> float:
+            fit = fits[cause]
+            speed = math.sqrt(square) * math.exp(-fit.values[SCALE])
+            return fit.cost(excess) + cause.penalty + (speed / SPEED) ** 2
+
+        best = min(fits, key=lambda cause: cost(cause, 1.0))
+        excess = fits[best].noise.excess
+        found = [Explanation(cause, fit, cost(cause, excess)) for cause, fit in fits.items()]
+        return sorted(found, key=lambda e: e.cost)
