@@ -30,7 +30,7 @@ UNITS = {"cm/s": 0.01, "mm/s": 0.001, "knots": 1852.0 / 3600.0, "ft/s": 0.3048}
 #: Probability that a parameter was not set, or that a sensor's driver is wrong.
 WRONG = 1e-2
 
-#: Probability that the axes of a wrong DVL are left-handed: a driver's error, not a mount.
+#: Probability that the axes of a wrong DVL or IMU are left-handed: a driver's error, not a mount.
 LEFT_HANDED = 0.1
 
 UPRIGHT = 0.5  # cosine of the largest angle between the axis of gravity and the vertical
@@ -180,6 +180,8 @@ def miswired(C_b_i: Array) -> list[Miswired]:
     """
     eye, down = np.eye(3), np.array([0.0, 0.0, 1.0])
     axes = signed_permutations()[1:]
+    reversals = [not (m - np.diag(np.diag(m))).any() for m in axes]
+    shares = [WRONG / 14.0 if reversal else WRONG / 80.0 for reversal in reversals]
     of_imu = [C_b_i @ m @ C_b_i.T for m in axes]
     level = [m for m in of_imu if (m @ down) @ down > UPRIGHT]
     mirrored = [m for m in level if np.linalg.det(m) < 0.0]
@@ -187,10 +189,10 @@ def miswired(C_b_i: Array) -> list[Miswired]:
     turned = [m for m in axes if np.linalg.det(m) > 0.0]
     reversed_ = [np.diag(s) for s in product((1.0, -1.0), repeat=3) if np.prod(s) < 0.0]
     return [
-        *(Miswired("gyroscope", m, WRONG / len(axes)) for m in of_imu),
+        *(Miswired("gyroscope", m, p) for m, p in zip(of_imu, shares, strict=True)),
         *(Miswired("gyroscope", eye / f, WRONG / len(factors), f) for f in factors),
         *(Miswired("accelerometer", m, WRONG / len(level)) for m in level),
-        *(Miswired("IMU", m, WRONG / len(mirrored)) for m in mirrored),
+        *(Miswired("IMU", m, LEFT_HANDED * WRONG / len(mirrored)) for m in mirrored),
         *(Miswired("DVL", m, WRONG / len(turned)) for m in turned),
         *(Miswired("DVL", m, LEFT_HANDED * WRONG / len(reversed_)) for m in reversed_),
     ]

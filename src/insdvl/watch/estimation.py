@@ -70,12 +70,11 @@ class Bases:
         q, _ = np.linalg.qr(np.polynomial.legendre.legvander(x, SLOW[-1]))
         return cls(q[:, : SLOW[0]], q[:, SLOW[0] :])
 
-    def of_noise(self, t: Array) -> tuple[float, float]:
-        """Power of the slow part of a random walk, and of its integral, both of density one."""
+    def of_noise(self, t: Array) -> tuple[Array, Array]:
+        """Power in each slow degree (4,) of a random walk and of its integral, of density one."""
         a, b = np.minimum(t, t[:, None]), np.maximum(t, t[:, None])
         walk, integral = a, a**2 * (3.0 * b - a) / 6.0
-        of_walk, of_integral = (np.trace(self.slow.T @ k @ self.slow) for k in (walk, integral))
-        return float(of_walk) / len(SLOW), float(of_integral) / len(SLOW)
+        return tuple(np.einsum("kd,kl,ld->d", self.slow, k, self.slow) for k in (walk, integral))
 
 
 @dataclass(frozen=True)
@@ -135,7 +134,7 @@ class Information:
 
     Attributes:
         all: (W, 16, 16).
-        slow: (W, 16, 16).
+        slow: (W, 12, 16) the rows themselves, of their slow parts: degree after degree.
         dof: (W,) number of residuals.
         climb: (16, 16) of the vehicle's travel being level, in units of its variance.
     """
@@ -187,26 +186,54 @@ class Travel:
 
 
 def information(a: Array, bases: Bases) -> tuple[Array, Array, float]:
-    """Products (16, 16) of a window's rows and of their slow parts, and the number of residuals."""
+    """Products (16, 16) of a window's rows, their slow parts (12, 16), and number of residuals."""
     K, _, n = a.shape
     flat = a.reshape(K, -1)
     flat = flat - bases.parabola @ (bases.parabola.T @ flat)
     slow = (bases.slow.T @ flat).reshape(-1, n)
     flat = flat.reshape(-1, n)
-    return flat.T @ flat, slow.T @ slow, 3.0 * (K - SLOW[0])
+    return flat.T @ flat, slow, 3.0 * (K - SLOW[0])
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Variance (W,) of a residual in each window, and by how much the slow part exceeds it."""
+    """Noise of the residuals of W windows.
 
-    variance: Array
-    excess: float
+    Attributes:
+        dof: (W,) number of residuals.
+        slow: (W, 4) variance of those of each slow degree.
+        rest: (W,) variance of the others.
+    """
+
+    dof: Array
+    slow: Array
+    rest: Array
+
+    @property
+    def variance(self) -> Array:
+        """(W,) mean variance of a residual."""
+        few = 3.0 * len(SLOW)
+        return (3.0 * self.slow.sum(axis=1) + (self.dof - few) * self.rest) / self.dof
+
+    @property
+    def excess(self) -> float:
+        """Number of residuals that count as one, since their noise is not white.
+
+        The number of equal ones would be (sum P)^2 / sum P^2 of the powers P.
+        """
+        few, dof = 3.0 * len(SLOW), float(self.dof.mean())
+        slow = (self.slow / self.variance[:, None]).mean(axis=0)
+        rest = float((self.rest / self.variance).mean())
+        return max(1.0, (3.0 * float(slow @ slow) + (dof - few) * rest**2) / dof)
 
     @property
     def weights(self) -> Array:
         """(W,) of the products."""
         return 1.0 / (self.variance * self.excess)
+
+    def at_least(self, slow: Array) -> "Noise":
+        """With slow degrees (W, 4) that have at least these variances."""
+        return Noise(self.dof, np.maximum(self.slow, slow), self.rest)
 
 
 @dataclass(frozen=True)
@@ -217,7 +244,6 @@ class Fit:
         values: (15,).
         covariance: (15, 15).
         noise: Of the windows, as the residuals show it.
-        dof: (W,) number of residuals.
         volume: ln of the share of the prior's volume that the data leave, twice, and negative; with
             the squared distance from its mean, and of the climb from none.
     """
@@ -225,7 +251,6 @@ class Fit:
     values: Array
     covariance: Array
     noise: Noise
-    dof: Array
     volume: float
 
     @property
@@ -233,14 +258,15 @@ class Fit:
         """(15,)."""
         return np.sqrt(np.diag(self.covariance))
 
-    def cost(self, excess: float) -> float:
+    def cost(self, noise: Noise | None = None, excess: float = 1.0) -> float:
         """-2 ln of the evidence (Laplace), the noise of each window being unknown.
 
         Args:
-            excess: By how much the slow part of the noise exceeds the rest: as many residuals count
-                as one.
+            noise: Of the residuals, if more of them is noise than the residuals show.
+            excess: Number of residuals that count as one.
         """
-        return float(self.dof @ np.log(self.noise.variance)) / excess + self.volume
+        noise = noise or self.noise
+        return float(noise.dof @ np.log(noise.variance)) / excess + self.volume
 
 
 def _squares(products: Array, step: Array) -> Array:
@@ -249,13 +275,18 @@ def _squares(products: Array, step: Array) -> Array:
     return np.maximum(np.einsum("wij,i,j->w", products, x, x), 0.0)
 
 
-def noise_after(info: Information, step: Array, floor: Array, *, pooled: bool = False) -> Noise:
-    """The noise that a step of the unknowns leaves."""
+def noise_after(info: Information, step: Array, floor: float, *, pooled: bool = False) -> Noise:
+    """The noise that a step of the unknowns leaves; pooled: the same in all windows."""
     squares = _squares(info.all, step)
-    mean = squares.sum() / info.dof.sum() if pooled else squares / info.dof
-    variance = np.maximum(mean, floor)
-    slow = _squares(info.slow, step) / (3 * len(SLOW)) / variance
-    return Noise(variance, max(1.0, float(slow.mean())))
+    slow = (info.slow @ np.append(step, 1.0)).reshape(len(squares), len(SLOW), 3) ** 2
+    few = 3.0 * len(SLOW)
+    rest = (squares - slow.sum(axis=(1, 2))) / (info.dof - few)
+    slow = slow.mean(axis=2)
+    if pooled:
+        slow, rest = (
+            np.repeat(a.mean(axis=0, keepdims=True), len(a), axis=0) for a in (slow, rest)
+        )
+    return Noise(info.dof, np.maximum(slow, floor), np.maximum(rest, floor))
 
 
 def _step(info: Information, at: Array, prior: Prior, noise: Noise) -> tuple[Array, Array]:
@@ -273,7 +304,7 @@ def _fit(info: Information, values: Array, step: Array, prior: Prior, noise: Noi
     distance = (values + step - prior.mean) / prior.sigma
     squares = float(distance @ distance) + float(_squares(info.climb[None], step)[0])
     volume = 2.0 * float(np.log(prior.sigma).sum()) - float(np.linalg.slogdet(covariance)[1])
-    return Fit(values + step, covariance, noise, info.dof, squares + volume)
+    return Fit(values + step, covariance, noise, squares + volume)
 
 
 def linear_spread(info: Information, fit: Fit, prior: Prior) -> Array:
@@ -281,7 +312,7 @@ def linear_spread(info: Information, fit: Fit, prior: Prior) -> Array:
     return _step(info, np.zeros(SIZE), prior, fit.noise)[1]
 
 
-def linear_fit(info: Information, prior: Prior, floor: Array) -> Fit:
+def linear_fit(info: Information, prior: Prior, floor: float) -> Fit:
     """A fit near zero, where the problem is linear."""
     step, at = np.zeros(SIZE), np.zeros(SIZE)
     for k in range(_LINEAR_STEPS):
@@ -297,11 +328,11 @@ class Problem:
         windows: Of the motion, at least one.
         bases: Of each.
         known: The mount from which the unknowns count.
-        floor: (W,) variance of a residual that is noise in any case [(m/s)^2].
+        floor: Variance that no DVL is below [(m/s)^2].
     """
 
     def __init__(
-        self, windows: Sequence[Window], bases: Sequence[Bases], known: Mounted, floor: Array
+        self, windows: Sequence[Window], bases: Sequence[Bases], known: Mounted, floor: float
     ) -> None:
         self._all = joined(windows)
         ends = np.cumsum([len(w.t) for w in windows]).tolist()

@@ -29,8 +29,9 @@ from insdvl.watch.windows import Window, integrated
 
 SMALLEST = 1e-3  # m/s, noise of a DVL; none is better
 ACCUSED = 2.0 * math.log(1e4)  # twice the log of the odds against right parameters
-AS_GOOD = 2.0 * math.log(1e2)  # of the odds up to which another cause is named as well
+AS_GOOD = 2.0 * math.log(20.0)  # of the odds up to which another cause is named as well
 SPEED = 5.0  # m/s, one sigma of the speed of a vehicle
+CHANCE = 2.0  # by which the noise of a window may exceed its expectation
 FREE = Cause(frozenset(["mount", "scale", "arm", "delay"]))
 BEAM = 2  # most probable causes to which one thing more is added
 UNEXPLAINED = 1.5  # excess of the slow part of a residual, from which all causes are tried
@@ -62,11 +63,11 @@ class Motion:
         self.samples = samples
         self.window = samples.window()
         self.bases = Bases.of(self.window.t)
-        self.floor = SMALLEST**2 + self._noise()
+        self.noise = self._noise()
         self.tried: list[tuple[Array, Array, float]] = []
 
-    def _noise(self) -> float:
-        """Variance [(m/s)^2] of the slow part of a residual by the noise of the IMU.
+    def _noise(self) -> Array:
+        """Variance (4,) of the slow degrees of the residual by the noise of the IMU [(m/s)^2].
 
         A turn by an angular random walk leaks gravity, and turns the velocity. The noise is what
         differs from sample to sample.
@@ -76,7 +77,7 @@ class Motion:
         w, f = ((np.diff(a, axis=0) ** 2).mean() / 2.0 * dt for a in (s.w, s.f))
         of_walk, of_integral = self.bases.of_noise(self.window.t)
         speed = float((self.window.v_d**2).sum(axis=1).mean())
-        return float((w * speed + f) * of_walk + w * GRAVITY**2 * of_integral)
+        return CHANCE * ((w * speed + f) * of_walk + w * GRAVITY**2 * of_integral)
 
     def compute(self, causes: Sequence[Miswired], known: Mounted) -> None:
         """Compute what each cause makes of the window."""
@@ -85,15 +86,6 @@ class Motion:
             information(rows(self.samples.window(cause), known, here), self.bases)
             for cause in causes
         ]
-
-
-def _floor(motions: Sequence[Motion]) -> Array:
-    """(W,) variances of the residuals that are noise in any case.
-
-    No cause is preferred since it makes less of the IMU's noise: a gyroscope that is taken for one
-    in deg/s has little.
-    """
-    return np.array([motion.floor for motion in motions])
 
 
 @dataclass(frozen=True)
@@ -151,19 +143,19 @@ class Search:
     def problem(self, motions: Sequence[Motion]) -> Problem:
         """Of estimating the unknowns from some windows."""
         windows, bases = [m.window for m in motions], [m.bases for m in motions]
-        return Problem(windows, bases, self.known, _floor(motions))
+        return Problem(windows, bases, self.known, SMALLEST**2)
 
     def suspects(self, motions: Sequence[Motion]) -> bool:
         """Whether anything may be wrong: a quick answer, that is seldom yes without a reason."""
-        problem, floor = self.problem(motions), _floor(motions)
+        problem = self.problem(motions)
         nominal = problem.fit(self._prior(NOTHING), np.zeros(SIZE))
         if nominal.noise.excess > UNEXPLAINED:
             return True
         info = problem.at(np.zeros(SIZE))
-        straight = linear_fit(info, self._prior(NOTHING), floor)
+        straight = linear_fit(info, self._prior(NOTHING), SMALLEST**2)
         return any(
-            linear_fit(info, self._prior(cause), floor).cost(1.0) + cause.penalty
-            < straight.cost(1.0)
+            linear_fit(info, self._prior(cause), SMALLEST**2).cost() + cause.penalty
+            < straight.cost()
             for cause in NOTHING.more()
         )
 
@@ -174,14 +166,14 @@ class Search:
         taken to be wrong as long as that makes the explanation more probable. It pauses after each
         hundredth of a second or so.
         """
-        problem, floor = self.problem(motions), _floor(motions)
+        problem = self.problem(motions)
         fits: dict[Cause | Miswired, Fit] = {}
         tried = {
             cause: Information.of([m.tried[k] for m in motions], self._climb(motions, cause))
             for k, cause in enumerate(self.causes)
         }
         for cause, info in tried.items():
-            fits[cause] = linear_fit(info, self._prior(cause), floor)
+            fits[cause] = linear_fit(info, self._prior(cause), SMALLEST**2)
         yield
         fits[NOTHING] = yield from self._fit(problem, NOTHING)
         size, beam = 0, [NOTHING]
@@ -235,12 +227,12 @@ class Search:
         for start in problem.starts(prior, level="yaw" in cause.blocks):
             fits.append(problem.fit(prior, start))
             yield
-        best = min(fits, key=lambda fit: fit.cost(1.0))
+        best = min(fits, key=lambda fit: fit.cost())
         if "mount" in cause.blocks:
             for start in problem.rolled(best):
                 fits.append(problem.fit(prior, start))
                 yield
-        return min(fits, key=lambda fit: fit.cost(1.0))
+        return min(fits, key=lambda fit: fit.cost())
 
     def _spread(
         self, problem: Problem, tried: dict[Miswired, Information], e: Explanation
@@ -258,17 +250,20 @@ class Search:
     def _ranked(fits: dict[Cause | Miswired, Fit], motions: Sequence[Motion]) -> list[Explanation]:
         """All explanations, the most probable one first.
 
-        The excess of the slow part of the noise is that which the most probable one leaves.
+        What is noise of the IMU in any case is no reason to prefer a cause that makes less of it,
+        such as a gyroscope whose rates are too large.
         """
         v_d = np.concatenate([m.window.v_d for m in motions])
         square = float((v_d**2).sum(axis=1).mean())
+        least = np.array([m.noise for m in motions])
+        noises = {cause: fit.noise.at_least(least) for cause, fit in fits.items()}
 
         def cost(cause: Cause | Miswired, excess: float) -> float:
             fit = fits[cause]
             speed = math.sqrt(square) * math.exp(-fit.values[SCALE])
-            return fit.cost(excess) + cause.penalty + (speed / SPEED) ** 2
+            return fit.cost(noises[cause], excess) + cause.penalty + (speed / SPEED) ** 2
 
         best = min(fits, key=lambda cause: cost(cause, 1.0))
-        excess = fits[best].noise.excess
+        excess = noises[best].excess
         found = [Explanation(cause, fit, cost(cause, excess)) for cause, fit in fits.items()]
         return sorted(found, key=lambda e: e.cost)

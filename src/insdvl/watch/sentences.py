@@ -85,7 +85,7 @@ class Terms:
             lever_arm_std=sigma[ARM],
             time_offset=self._parameters.dvl.time_offset - float(x[DELAY]),
             time_offset_std=float(sigma[DELAY]),
-            windows=len(fit.dof),
+            windows=len(fit.noise.dof),
         )
 
     def sentence(self, explanation: Explanation, force: Array, v_d: Array) -> str:

@@ -196,7 +196,12 @@ def test_errors_of_the_sensors_are_no_wrong_axes() -> None:
             outlier_probability=0.05,
         ),
     )
-    watch = AlignmentCheck(build(FilterParameters, {"dvl.lever_arm": lever_arm}))
+    declared = {
+        "dvl.lever_arm": lever_arm,
+        "initial.accelerometer_bias_std": 0.1,
+        "initial.gyroscope_bias_std": 2e-3,
+    }
+    watch = AlignmentCheck(build(FilterParameters, declared))
     for k, event in enumerate(events(mission)):
         watch.add(event)
         assert k % 50 or not watch.findings()  # a finding takes 10 s of samples
