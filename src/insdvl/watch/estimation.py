@@ -71,10 +71,20 @@ class Bases:
         return cls(q[:, : SLOW[0]], q[:, SLOW[0] :])
 
     def of_noise(self, t: Array) -> tuple[Array, Array]:
-        """Power in each slow degree (4,) of a random walk and of its integral, of density one."""
+        """Variances (5,) of a random walk and of its integral, both of density one.
+
+        They are those in each slow degree, and in the others on average.
+        """
         a, b = np.minimum(t, t[:, None]), np.maximum(t, t[:, None])
         walk, integral = a, a**2 * (3.0 * b - a) / 6.0
-        return tuple(np.einsum("kd,kl,ld->d", self.slow, k, self.slow) for k in (walk, integral))
+        return self._powers(walk), self._powers(integral)
+
+    def _powers(self, covariance: Array) -> Array:
+        """Variances (5,) of a noise (K,) with a covariance (K, K)."""
+        slow = np.einsum("kd,kl,ld->d", self.slow, covariance, self.slow)
+        parabola = np.einsum("kd,kl,ld->", self.parabola, covariance, self.parabola)
+        rest = np.trace(covariance) - parabola - slow.sum()
+        return np.append(slow, rest / max(len(covariance) - len(slow) - SLOW[0], 1))
 
 
 @dataclass(frozen=True)
@@ -231,9 +241,15 @@ class Noise:
         """(W,) of the products."""
         return 1.0 / (self.variance * self.excess)
 
-    def at_least(self, slow: Array) -> "Noise":
-        """With slow degrees (W, 4) that have at least these variances."""
-        return Noise(self.dof, np.maximum(self.slow, slow), self.rest)
+    def at_least(self, imu: Array, share: float) -> "Noise":
+        """With the noise of the IMU in it, whether or not it shows.
+
+        Args:
+            imu: (W, 5) variances in the slow degrees and in the others by the noise of the IMU.
+            share: Of the IMU's noise that is in the residuals.
+        """
+        rest = self.rest + (1.0 - share**2) * imu[:, -1]
+        return Noise(self.dof, np.maximum(self.slow, imu[:, :-1] + rest[:, None]), rest)
 
 
 @dataclass(frozen=True)

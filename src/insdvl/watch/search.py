@@ -29,9 +29,8 @@ from insdvl.watch.windows import Window, integrated
 
 SMALLEST = 1e-3  # m/s, noise of a DVL; none is better
 ACCUSED = 2.0 * math.log(1e4)  # twice the log of the odds against right parameters
-AS_GOOD = 2.0 * math.log(20.0)  # of the odds up to which another cause is named as well
+AS_GOOD = ACCUSED  # of the odds up to which another cause is named as well
 SPEED = 5.0  # m/s, one sigma of the speed of a vehicle
-CHANCE = 2.0  # by which the noise of a window may exceed its expectation
 FREE = Cause(frozenset(["mount", "scale", "arm", "delay"]))
 BEAM = 2  # most probable causes to which one thing more is added
 UNEXPLAINED = 1.5  # excess of the slow part of a residual, from which all causes are tried
@@ -67,7 +66,7 @@ class Motion:
         self.tried: list[tuple[Array, Array, float]] = []
 
     def _noise(self) -> Array:
-        """Variance (4,) of the slow degrees of the residual by the noise of the IMU [(m/s)^2].
+        """Variances (5,) of the residual by the noise of the IMU, see `of_noise` [(m/s)^2].
 
         A turn by an angular random walk leaks gravity, and turns the velocity. The noise is what
         differs from sample to sample.
@@ -77,7 +76,8 @@ class Motion:
         w, f = ((np.diff(a, axis=0) ** 2).mean() / 2.0 * dt for a in (s.w, s.f))
         of_walk, of_integral = self.bases.of_noise(self.window.t)
         speed = float((self.window.v_d**2).sum(axis=1).mean())
-        return CHANCE * ((w * speed + f) * of_walk + w * GRAVITY**2 * of_integral)
+        turned = 2.0 / 3.0 * w * (speed * of_walk + GRAVITY**2 * of_integral)  # two of three
+        return turned + f * of_walk
 
     def compute(self, causes: Sequence[Miswired], known: Mounted) -> None:
         """Compute what each cause makes of the window."""
@@ -246,8 +246,9 @@ class Search:
             covariance = problem.spread(e.fit, prior)
         return replace(e, fit=replace(e.fit, covariance=covariance))
 
-    @staticmethod
-    def _ranked(fits: dict[Cause | Miswired, Fit], motions: Sequence[Motion]) -> list[Explanation]:
+    def _ranked(
+        self, fits: dict[Cause | Miswired, Fit], motions: Sequence[Motion]
+    ) -> list[Explanation]:
         """All explanations, the most probable one first.
 
         What is noise of the IMU in any case is no reason to prefer a cause that makes less of it,
@@ -256,7 +257,9 @@ class Search:
         v_d = np.concatenate([m.window.v_d for m in motions])
         square = float((v_d**2).sum(axis=1).mean())
         least = np.array([m.noise for m in motions])
-        noises = {cause: fit.noise.at_least(least) for cause, fit in fits.items()}
+        noises = {
+            cause: fit.noise.at_least(least, self._share(cause, fit)) for cause, fit in fits.items()
+        }
 
         def cost(cause: Cause | Miswired, excess: float) -> float:
             fit = fits[cause]
@@ -267,3 +270,11 @@ class Search:
         excess = noises[best].excess
         found = [Explanation(cause, fit, cost(cause, excess)) for cause, fit in fits.items()]
         return sorted(found, key=lambda e: e.cost)
+
+    @staticmethod
+    def _share(cause: Cause | Miswired, fit: Fit) -> float:
+        """Of the IMU's noise that a cause leaves in the residuals."""
+        share = math.exp(fit.values[SCALE])
+        if isinstance(cause, Miswired):
+            share /= cause.factor
+        return min(1.0, share)
