@@ -4,9 +4,11 @@ from collections import deque
 
 import numpy as np
 
+from scipy.spatial.transform import Rotation
+
 from insdvl.arrays import Array
 from insdvl.navigation.events import NS, Imu
-from insdvl.navigation.geometry.frames import CONVENTIONS
+from insdvl.navigation.geometry.frames import CONVENTIONS, rpy_from_rotation
 
 GRAVITY = 9.81  # m/s^2, accurate enough for a sign
 BLOCK_NS = 10 * NS  # length of a block with a mean specific force
@@ -15,6 +17,9 @@ FEWEST_BLOCKS = 2
 UPSIDE_DOWN = -0.5  # share of the specific force that points up
 ASIDE = 0.94  # share of it along another axis: 20 deg
 WRONG_SIZE = 0.3  # relative difference from gravity
+
+
+_UP = np.array([0.0, 0.0, -1.0])
 
 
 class GravityCheck:
@@ -77,6 +82,16 @@ class GravityCheck:
                 return [
                     f"gravity is along {'xy'[axis]} of base_link, not along z: the specific force "
                     f"along it has been {mean[axis]:+.2f} m/s^2 for {seconds} s; imu.mount is "
-                    "wrong, or the vehicle is not upright"
+                    f"wrong, or the vehicle is not upright: imu.mount {self._levelled(forces)} rad "
+                    "would make it upright"
                 ]
         return []
+
+    def _levelled(self, forces: Array) -> str:
+        """The parameter imu.mount after the smallest turn that makes the vehicle upright."""
+        f = forces.mean(axis=0)
+        axis = np.cross(f, _UP)
+        angle = np.arctan2(np.linalg.norm(axis), f @ _UP)
+        turn = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix()
+        rpy = rpy_from_rotation(self._axes @ turn @ self._C_b_i @ self._axes)
+        return f"[{', '.join(f'{x:.2f}' for x in rpy + 0.0)}]"

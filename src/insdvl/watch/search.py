@@ -29,7 +29,7 @@ from insdvl.watch.windows import Window, integrated
 
 SMALLEST = 1e-3  # m/s, noise of a DVL; none is better
 ACCUSED = 2.0 * math.log(1e4)  # twice the log of the odds against right parameters
-AS_GOOD = ACCUSED  # of the odds up to which another cause is named as well
+AS_GOOD = 2.0 * math.log(1e2)  # of the odds up to which another cause is named as well
 SPEED = 5.0  # m/s, one sigma of the speed of a vehicle
 FREE = Cause(frozenset(["mount", "scale", "arm", "delay"]))
 BEAM = 2  # most probable causes to which one thing more is added
