@@ -75,9 +75,10 @@ class Cause:
         """The inverse of the scale that is expected."""
         return 1.0 / UNITS[self.unit] if self.unit else 1.0
 
-    def includes(self, other: "Cause") -> bool:
-        """Whether all of another cause is in this one."""
-        return self.blocks >= other.blocks and other.unit in ("", self.unit)
+    @property
+    def unturned(self) -> "Cause":
+        """This cause with the DVL mounted as the parameters tell."""
+        return Cause(self.blocks - TURNS, self.unit) if self.blocks & TURNS else self
 
     def more(self) -> Iterator["Cause"]:
         """The causes with one more thing wrong."""
@@ -132,6 +133,11 @@ class Miswired:
     def penalty(self) -> float:
         """-2 ln of the probability beforehand."""
         return -2.0 * math.log(self.probability)
+
+    @property
+    def unturned(self) -> "Cause | Miswired":
+        """No cause for wrong axes of the DVL, and this one for those of other sensors."""
+        return NOTHING if self.sensor == "DVL" else self
 
     @property
     def accelerometer(self) -> Array:

@@ -3,7 +3,6 @@
 from collections import deque
 
 import numpy as np
-
 from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array

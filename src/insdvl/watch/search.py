@@ -5,13 +5,16 @@ from collections.abc import Generator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array, Stamps
 from insdvl.navigation.events import NS
 from insdvl.watch.causes import NOTHING, TURNS, Cause, Miswired
 from insdvl.watch.estimation import (
+    MOUNT,
     SCALE,
     SIZE,
+    SLOW,
     Bases,
     Fit,
     Information,
@@ -31,6 +34,7 @@ SMALLEST = 1e-3  # m/s, noise of a DVL; none is better
 ACCUSED = 2.0 * math.log(1e4)  # twice the log of the odds against right parameters
 AS_GOOD = 2.0 * math.log(1e2)  # of the odds up to which another cause is named as well
 SPEED = 5.0  # m/s, one sigma of the speed of a vehicle
+CHANCE = 3.0  # sigmas of the power of noise
 FREE = Cause(frozenset(["mount", "scale", "arm", "delay"]))
 BEAM = 2  # most probable causes to which one thing more is added
 UNEXPLAINED = 1.5  # excess of the slow part of a residual, from which all causes are tried
@@ -252,7 +256,8 @@ class Search:
         """All explanations, the most probable one first.
 
         What is noise of the IMU in any case is no reason to prefer a cause that makes less of it,
-        such as a gyroscope whose rates are too large.
+        such as a gyroscope whose rates are too large; nor is what a turn of the DVL makes of the
+        noise of an axis that measures nothing.
         """
         v_d = np.concatenate([m.window.v_d for m in motions])
         square = float((v_d**2).sum(axis=1).mean())
@@ -266,10 +271,40 @@ class Search:
             speed = math.sqrt(square) * math.exp(-fit.values[SCALE])
             return fit.cost(noises[cause], excess) + cause.penalty + (speed / SPEED) ** 2
 
-        best = min(fits, key=lambda cause: cost(cause, 1.0))
+        most = {cause: self._most(cause, fit, motions) for cause, fit in fits.items()}
+
+        def bounded(cause: Cause | Miswired, excess: float) -> float:
+            found = cost(cause, excess)
+            unturned = cause.unturned
+            if unturned is cause or unturned not in fits:
+                return found
+            return max(found, cost(unturned, excess) - most[cause] / excess)
+
+        best = min(fits, key=lambda cause: bounded(cause, 1.0))
         excess = noises[best].excess
-        found = [Explanation(cause, fit, cost(cause, excess)) for cause, fit in fits.items()]
+        found = [Explanation(cause, fit, bounded(cause, excess)) for cause, fit in fits.items()]
         return sorted(found, key=lambda e: e.cost)
+
+    def _most(self, cause: Cause | Miswired, fit: Fit, motions: Sequence[Motion]) -> float:
+        """By how much a turn of the DVL can improve the residuals: by the signal that it changes.
+
+        The signal is the slow part of the change, less the noise that is in all of it.
+        """
+        C = self.known.C_b_d
+        matrix = C @ (cause.dvl if isinstance(cause, Miswired) else np.eye(3))
+        change = Rotation.from_rotvec(fit.values[MOUNT]).as_matrix() @ matrix - C
+        slow, noise = 0.0, 0.0
+        for motion, variance in zip(motions, fit.noise.variance, strict=True):
+            w, bases = motion.window, motion.bases
+            of_turn = np.einsum("kij,kj->ki", w.R, w.v_d @ change.T)
+            parts = [float(((b.T @ of_turn) ** 2).sum()) for b in (bases.slow, bases.parabola)]
+            rest = float((of_turn**2).sum()) - sum(parts)
+            dof = 3.0 * (len(w.t) - SLOW[-1] - 1)
+            slow += parts[0] / variance
+            noise += 3.0 * len(SLOW) * rest / dof / variance
+        # The power of noise in n values is within sqrt(2 n) of itself per value, one sigma.
+        chance = noise * math.sqrt(2.0 / (3.0 * len(SLOW) * len(motions)))
+        return max(0.0, slow - noise - CHANCE * chance)
 
     @staticmethod
     def _share(cause: Cause | Miswired, fit: Fit) -> float:
