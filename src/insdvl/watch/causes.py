@@ -76,9 +76,13 @@ class Cause:
         return 1.0 / UNITS[self.unit] if self.unit else 1.0
 
     @property
-    def unturned(self) -> "Cause":
-        """This cause with the DVL mounted as the parameters tell."""
-        return Cause(self.blocks - TURNS, self.unit) if self.blocks & TURNS else self
+    def less_turned(self) -> list["Cause"]:
+        """The causes with which a turn of the DVL is compared: with a level mount, and without."""
+        if not self.blocks & TURNS:
+            return []
+        rest = self.blocks - TURNS
+        level = [Cause(rest | {"yaw"}, self.unit)] if "mount" in self.blocks else []
+        return [Cause(rest, self.unit), *level]
 
     def more(self) -> Iterator["Cause"]:
         """The causes with one more thing wrong."""
@@ -135,9 +139,9 @@ class Miswired:
         return -2.0 * math.log(self.probability)
 
     @property
-    def unturned(self) -> "Cause | Miswired":
-        """No cause for wrong axes of the DVL, and this one for those of other sensors."""
-        return NOTHING if self.sensor == "DVL" else self
+    def less_turned(self) -> list[Cause]:
+        """See `Cause.less_turned`."""
+        return [NOTHING, Cause(frozenset(["yaw"]))] if self.sensor == "DVL" else []
 
     @property
     def accelerometer(self) -> Array:

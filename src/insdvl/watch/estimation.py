@@ -195,14 +195,25 @@ class Travel:
         return row / CLIMB
 
 
-def information(a: Array, bases: Bases) -> tuple[Array, Array, float]:
-    """Products (16, 16) of a window's rows, their slow parts (12, 16), and number of residuals."""
+def information(a: Array, bases: Bases, noise: float) -> tuple[Array, Array, float]:
+    """Products (16, 16) of a window's rows, their slow parts (12, 16), and number of residuals.
+
+    Args:
+        a: (K, 3, 16) rows.
+        bases: Of the window.
+        noise: Sum of the squares that the IMU's noise adds to those of kappa F. It is in y and in
+            its derivative by the scale, and would make kappa too small.
+    """
     K, _, n = a.shape
     flat = a.reshape(K, -1)
     flat = flat - bases.parabola @ (bases.parabola.T @ flat)
     slow = (bases.slow.T @ flat).reshape(-1, n)
     flat = flat.reshape(-1, n)
-    return flat.T @ flat, slow, 3.0 * (K - SLOW[0])
+    products = flat.T @ flat
+    products[SCALE, SCALE] = max(products[SCALE, SCALE] - noise, 0.0)
+    products[SCALE, -1] -= noise
+    products[-1, SCALE] -= noise
+    return products, slow, 3.0 * (K - SLOW[0])
 
 
 @dataclass(frozen=True)
@@ -343,18 +354,25 @@ class Problem:
     Args:
         windows: Of the motion, at least one.
         bases: Of each.
+        noises: (W,) sums of the squares of F that are noise of the IMU [(m/s)^2].
         known: The mount from which the unknowns count.
         floor: Variance that no DVL is below [(m/s)^2].
     """
 
     def __init__(
-        self, windows: Sequence[Window], bases: Sequence[Bases], known: Mounted, floor: float
+        self,
+        windows: Sequence[Window],
+        bases: Sequence[Bases],
+        noises: Sequence[float],
+        known: Mounted,
+        floor: float,
     ) -> None:
         self._all = joined(windows)
         ends = np.cumsum([len(w.t) for w in windows]).tolist()
         self._slices = [slice(a, b) for a, b in zip([0, *ends], ends, strict=False)]
         self._travel = Travel.of(self._all.v_d, self._all.f)
         self._bases = bases
+        self._noises = noises
         self._known = known
         self._floor = floor
 
@@ -362,7 +380,10 @@ class Problem:
         """The linear problem at some values (15,)."""
         a = rows(self._all, self._known, values)
         return Information.of(
-            [information(a[s], b) for s, b in zip(self._slices, self._bases, strict=True)],
+            [
+                information(a[s], b, noise * math.exp(2.0 * values[SCALE]))
+                for s, b, noise in zip(self._slices, self._bases, self._noises, strict=True)
+            ],
             self._travel.row(self._known, values),
         )
 
@@ -431,5 +452,10 @@ class Problem:
         a = np.einsum("kai,kj->kaij", w.R, w.v_d @ self._known.C_b_d.T).reshape(-1, 3, 9)
         F = w.F + np.einsum("kij,kj->ki", w.R, np.cross(w.w, self._known.l_b))
         both = np.concatenate([a, F[:, :, None]], axis=2)
-        parts = [information(both[s], b)[0] for s, b in zip(self._slices, self._bases, strict=True)]
-        return np.sum(parts, axis=0)
+        flat = both.reshape(len(both), -1)
+        parts = []
+        for s, bases in zip(self._slices, self._bases, strict=True):
+            part = flat[s] - bases.parabola @ (bases.parabola.T @ flat[s])
+            parts.append(part.reshape(-1, 10))
+        joined_parts = np.concatenate(parts)
+        return joined_parts.T @ joined_parts

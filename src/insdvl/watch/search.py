@@ -67,6 +67,9 @@ class Motion:
         self.window = samples.window()
         self.bases = Bases.of(self.window.t)
         self.noise = self._noise()
+        few = 3.0 * len(SLOW)
+        dof = 3.0 * (len(self.window.t) - SLOW[0])
+        self.squares = 3.0 * float(self.noise[:-1].sum()) + (dof - few) * float(self.noise[-1])
         self.tried: list[tuple[Array, Array, float]] = []
 
     def _noise(self) -> Array:
@@ -87,7 +90,7 @@ class Motion:
         """Compute what each cause makes of the window."""
         here = np.zeros(SIZE)
         self.tried = [
-            information(rows(self.samples.window(cause), known, here), self.bases)
+            information(rows(self.samples.window(cause), known, here), self.bases, self.squares)
             for cause in causes
         ]
 
@@ -147,7 +150,7 @@ class Search:
     def problem(self, motions: Sequence[Motion]) -> Problem:
         """Of estimating the unknowns from some windows."""
         windows, bases = [m.window for m in motions], [m.bases for m in motions]
-        return Problem(windows, bases, self.known, SMALLEST**2)
+        return Problem(windows, bases, [m.squares for m in motions], self.known, SMALLEST**2)
 
     def suspects(self, motions: Sequence[Motion]) -> bool:
         """Whether anything may be wrong: a quick answer, that is seldom yes without a reason."""
@@ -271,28 +274,48 @@ class Search:
             speed = math.sqrt(square) * math.exp(-fit.values[SCALE])
             return fit.cost(noises[cause], excess) + cause.penalty + (speed / SPEED) ** 2
 
-        most = {cause: self._most(cause, fit, motions) for cause, fit in fits.items()}
+        turns = {cause: self._turn(cause, fit) for cause, fit in fits.items()}
+        bounds = {
+            cause: [
+                (
+                    other,
+                    self._most(
+                        self._turn(cause, fit), self._turn(other, fits[other]), fit, motions
+                    ),
+                )
+                for other in cause.less_turned
+                if other in fits
+            ]
+            for cause, fit in fits.items()
+        }
 
         def bounded(cause: Cause | Miswired, excess: float) -> float:
-            found = cost(cause, excess)
-            unturned = cause.unturned
-            if unturned is cause or unturned not in fits:
-                return found
-            return max(found, cost(unturned, excess) - most[cause] / excess)
+            least = [cost(other, excess) - most / excess for other, most in bounds[cause]]
+            return max([cost(cause, excess), *least])
 
         best = min(fits, key=lambda cause: bounded(cause, 1.0))
         excess = noises[best].excess
         found = [Explanation(cause, fit, bounded(cause, excess)) for cause, fit in fits.items()]
         return sorted(found, key=lambda e: e.cost)
 
-    def _most(self, cause: Cause | Miswired, fit: Fit, motions: Sequence[Motion]) -> float:
-        """By how much a turn of the DVL can improve the residuals: by the signal that it changes.
+    def _turn(self, cause: Cause | Miswired, fit: Fit) -> Array:
+        """DVL to body (3, 3) when a cause is taken for right."""
+        turn = Rotation.from_rotvec(fit.values[MOUNT]).as_matrix() @ self.known.C_b_d
+        return turn @ cause.dvl if isinstance(cause, Miswired) else turn
+
+    @staticmethod
+    def _most(turn: Array, other: Array, fit: Fit, motions: Sequence[Motion]) -> float:
+        """By how much one turn of the DVL can fit better than another: by the signal it changes.
 
         The signal is the slow part of the change, less the noise that is in all of it.
+
+        Args:
+            turn: (3, 3) DVL to body.
+            other: (3, 3) the turn with which it is compared.
+            fit: With the turn.
+            motions: The windows.
         """
-        C = self.known.C_b_d
-        matrix = C @ (cause.dvl if isinstance(cause, Miswired) else np.eye(3))
-        change = Rotation.from_rotvec(fit.values[MOUNT]).as_matrix() @ matrix - C
+        change = turn - other
         slow, noise = 0.0, 0.0
         for motion, variance in zip(motions, fit.noise.variance, strict=True):
             w, bases = motion.window, motion.bases
