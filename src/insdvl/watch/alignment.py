@@ -34,7 +34,7 @@ FEWEST_WINDOWS = 5
 PINGS = SLOW[-1] + 2  # DVL measurements that a window must have: one more than its polynomials
 SPACING_NS = WINDOW_NS // 100  # smallest time between two that are used
 PAUSE_NS = 5 * NS  # a longer time without any ends the window
-EVERY = 5  # windows after which an explanation is made again
+EVERY = 3  # windows after which an explanation is made again
 STEP_NS = 16_000_000  # shortest interval of the IMU that is kept; samples are averaged over it
 THINK = 12  # intervals of the IMU between two steps of an explanation: 5 in a second
 

@@ -45,6 +45,9 @@ BLOCKS = {
     "gyroscope scale": (GYROSCOPE_SCALE, 0.01, 0.1),
 }
 TURNS = frozenset(["mount", "yaw"])
+#: Probability that a block was not set, where it is another than `WRONG`: the default of the lever
+#: arm is none, and nearly every vehicle has one.
+UNSET = {"arm": 0.1}
 UNIT_SCALE = 0.03  # one sigma of the scale of a DVL in another unit
 
 
@@ -68,7 +71,8 @@ class Cause:
     @property
     def penalty(self) -> float:
         """-2 ln of the probability beforehand."""
-        return -2.0 * self.size * math.log(WRONG)
+        wrong = [UNSET.get(block, WRONG) for block in self.blocks] + [WRONG] * bool(self.unit)
+        return -2.0 * sum(math.log(p) for p in wrong)
 
     @property
     def kappa(self) -> float:

@@ -202,7 +202,7 @@ def information(a: Array, bases: Bases, noise: float) -> tuple[Array, Array, flo
         a: (K, 3, 16) rows.
         bases: Of the window.
         noise: Sum of the squares that the IMU's noise adds to those of kappa F. It is in y and in
-            its derivative by the scale, and would make kappa too small.
+            its derivative by the scale; their product would make kappa too small.
     """
     K, _, n = a.shape
     flat = a.reshape(K, -1)
@@ -210,7 +210,6 @@ def information(a: Array, bases: Bases, noise: float) -> tuple[Array, Array, flo
     slow = (bases.slow.T @ flat).reshape(-1, n)
     flat = flat.reshape(-1, n)
     products = flat.T @ flat
-    products[SCALE, SCALE] = max(products[SCALE, SCALE] - noise, 0.0)
     products[SCALE, -1] -= noise
     products[-1, SCALE] -= noise
     return products, slow, 3.0 * (K - SLOW[0])
@@ -316,18 +315,36 @@ def noise_after(info: Information, step: Array, floor: float, *, pooled: bool = 
     return Noise(info.dof, np.maximum(slow, floor), np.maximum(rest, floor))
 
 
-def _step(info: Information, at: Array, prior: Prior, noise: Noise) -> tuple[Array, Array]:
-    """Step (15,) from `at` to the most probable values of the linear problem, and covariance."""
-    N = np.einsum("w,wij->ij", noise.weights, info.all)
-    N += info.climb
+def _information(info: Information, noise: Noise) -> Array:
+    """Products (16, 16) of all windows, divided by the variances."""
+    return np.einsum("w,wij->ij", noise.weights, info.all) + info.climb
+
+
+def _step(info: Information, at: Array, prior: Prior, noise: Noise) -> Array:
+    """Step (15,) from `at` to the most probable values of the linear problem."""
+    N = _information(info, noise)
     factor = cho_factor(N[:-1, :-1] + np.diag(prior.sigma**-2))
-    step = cho_solve(factor, -N[:-1, -1] - (at - prior.mean) / prior.sigma**2)
-    return step, cho_solve(factor, np.eye(SIZE))
+    return cho_solve(factor, -N[:-1, -1] - (at - prior.mean) / prior.sigma**2)
+
+
+def _covariance(info: Information, prior: Prior, noise: Noise) -> Array:
+    """Covariance (15, 15) of the values.
+
+    White noise of the DVL, of variance r in each of K - 3 pings, adds 2 r (K - 3) to the squares of
+    the derivatives by each turn, and tells nothing of the turn.
+    """
+    N = _information(info, noise)[:-1, :-1]
+    white = 2.0 * float(noise.weights @ (noise.rest * noise.dof)) / 3.0
+    N[MOUNT, MOUNT] -= white * np.eye(3)
+    scaled = N * np.outer(prior.sigma, prior.sigma)
+    values, vectors = np.linalg.eigh((scaled + scaled.T) / 2.0)
+    vectors = prior.sigma[:, None] * vectors
+    return (vectors / (1.0 + np.maximum(values, 0.0))) @ vectors.T
 
 
 def _fit(info: Information, values: Array, step: Array, prior: Prior, noise: Noise) -> Fit:
     """The fit that ends in values + step."""
-    _, covariance = _step(info, values, prior, noise)
+    covariance = _covariance(info, prior, noise)
     distance = (values + step - prior.mean) / prior.sigma
     squares = float(distance @ distance) + float(_squares(info.climb[None], step)[0])
     volume = 2.0 * float(np.log(prior.sigma).sum()) - float(np.linalg.slogdet(covariance)[1])
@@ -336,7 +353,7 @@ def _fit(info: Information, values: Array, step: Array, prior: Prior, noise: Noi
 
 def linear_spread(info: Information, fit: Fit, prior: Prior) -> Array:
     """Covariance (15, 15) of the values of a linear fit under another prior."""
-    return _step(info, np.zeros(SIZE), prior, fit.noise)[1]
+    return _covariance(info, prior, fit.noise)
 
 
 def linear_fit(info: Information, prior: Prior, floor: float) -> Fit:
@@ -344,7 +361,7 @@ def linear_fit(info: Information, prior: Prior, floor: float) -> Fit:
     step, at = np.zeros(SIZE), np.zeros(SIZE)
     for k in range(_LINEAR_STEPS):
         noise = noise_after(info, step, floor, pooled=k < 2)
-        step, _ = _step(info, at, prior, noise)
+        step = _step(info, at, prior, noise)
     return _fit(info, at, step, prior, noise_after(info, step, floor))
 
 
@@ -393,7 +410,7 @@ class Problem:
         info = self.at(values)
         for k in range(_STEPS):
             noise = noise_after(info, here, self._floor, pooled=k < _POOLED)
-            step, _ = _step(info, values, prior, noise)
+            step = _step(info, values, prior, noise)
             size = max(np.abs(step[MOUNT]).max() / 0.5, abs(step[SCALE]), abs(step[DELAY]) / 0.5)
             step = step / max(size, 1.0)
             turn = Rotation.from_rotvec(step[MOUNT]) * Rotation.from_rotvec(values[MOUNT])
@@ -406,7 +423,7 @@ class Problem:
 
     def spread(self, fit: Fit, prior: Prior) -> Array:
         """Covariance (15, 15) of a fit's values under another prior."""
-        return _step(self.at(fit.values), fit.values, prior, fit.noise)[1]
+        return _covariance(self.at(fit.values), prior, fit.noise)
 
     def starts(self, prior: Prior, *, level: bool) -> list[Array]:
         """Two values (15,) from which Gauss-Newton finds a turn of any angle.

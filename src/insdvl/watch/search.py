@@ -277,12 +277,7 @@ class Search:
         turns = {cause: self._turn(cause, fit) for cause, fit in fits.items()}
         bounds = {
             cause: [
-                (
-                    other,
-                    self._most(
-                        self._turn(cause, fit), self._turn(other, fits[other]), fit, motions
-                    ),
-                )
+                (other, self._most(turns[cause], turns[other], fit, motions))
                 for other in cause.less_turned
                 if other in fits
             ]
