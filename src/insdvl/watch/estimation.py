@@ -33,6 +33,7 @@ SIZE = 15
 
 CLIMB = 0.1  # one sigma of the mean vertical velocity, as a part of the speed
 SLOW = range(3, 7)  # degrees of the polynomials that hold the slow part of a residual
+MOST_NOISE = 0.25  # of the power of F, up to which the noise in it is known well enough
 _STEPS = 15
 _LINEAR_STEPS = 6
 _POOLED = 4  # steps with one noise of all windows, before each has its own
@@ -389,17 +390,20 @@ class Problem:
         self._slices = [slice(a, b) for a, b in zip([0, *ends], ends, strict=False)]
         self._travel = Travel.of(self._all.v_d, self._all.f)
         self._bases = bases
-        self._noises = noises
         self._known = known
         self._floor = floor
+        self._of_turns = self._products_of_turns()
+        power = self._of_turns[-1, -1]  # of F
+        self._noises = np.array(noises) * (sum(noises) < MOST_NOISE * power)
 
     def at(self, values: Array) -> Information:
         """The linear problem at some values (15,)."""
         a = rows(self._all, self._known, values)
+        noises = self._noises * math.exp(2.0 * values[SCALE])
         return Information.of(
             [
-                information(a[s], b, noise * math.exp(2.0 * values[SCALE]))
-                for s, b, noise in zip(self._slices, self._bases, self._noises, strict=True)
+                information(a[s], b, noise)
+                for s, b, noise in zip(self._slices, self._bases, noises, strict=True)
             ],
             self._travel.row(self._known, values),
         )
@@ -434,7 +438,7 @@ class Problem:
         turns = Rotation.from_rotvec([[0.0, 0.0, k * math.pi / 4.0] for k in range(8)])
         if not level:
             turns = Rotation.concatenate([turns, Rotation.create_group("O")])
-        products = self._of_turns()
+        products = self._of_turns
         misfits = []
         for turn in turns:
             x = np.append(turn.as_matrix().ravel(), -math.exp(prior.mean[SCALE]))
@@ -463,7 +467,7 @@ class Problem:
             found.append(start)
         return found
 
-    def _of_turns(self) -> Array:
+    def _products_of_turns(self) -> Array:
         """Products (10, 10) of R C v_d, linear in the nine elements of a turn, and of F."""
         w = self._all
         a = np.einsum("kai,kj->kaij", w.R, w.v_d @ self._known.C_b_d.T).reshape(-1, 3, 9)

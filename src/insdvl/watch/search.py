@@ -90,7 +90,7 @@ class Motion:
         """Compute what each cause makes of the window."""
         here = np.zeros(SIZE)
         self.tried = [
-            information(rows(self.samples.window(cause), known, here), self.bases, self.squares)
+            information(rows(self.samples.window(cause), known, here), self.bases, 0.0)
             for cause in causes
         ]
 
