@@ -17,7 +17,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array
-from insdvl.watch.windows import Window, joined
+from insdvl.watch.windows import SLOW, Bases, Noise, Window, joined
 
 #: Columns of the unknowns: a turn of the DVL [rad], ln(kappa), change of the lever arm [m], delay
 #: of the DVL [s], biases [m/s^2, rad/s], relative error of the gyroscope's scale.
@@ -32,7 +32,6 @@ GYROSCOPE_SCALE = 14
 SIZE = 15
 
 CLIMB = 0.1  # one sigma of the mean vertical velocity, as a part of the speed
-SLOW = range(3, 7)  # degrees of the polynomials that hold the slow part of a residual
 MOST_NOISE = 0.25  # of the power of F, up to which the noise in it is known well enough
 _STEPS = 15
 _LINEAR_STEPS = 6
@@ -50,42 +49,6 @@ class Prior:
 
     mean: Array
     sigma: Array
-
-
-@dataclass(frozen=True)
-class Bases:
-    """Orthonormal polynomials of a window's times.
-
-    Attributes:
-        parabola: (K, 3) degrees 0 to 2.
-        slow: (K, 4) degrees 3 to 6.
-    """
-
-    parabola: Array
-    slow: Array
-
-    @classmethod
-    def of(cls, t: Array) -> "Bases":
-        """The bases of times (K,), K at least 8."""
-        x = 2.0 * t / t[-1] - 1.0
-        q, _ = np.linalg.qr(np.polynomial.legendre.legvander(x, SLOW[-1]))
-        return cls(q[:, : SLOW[0]], q[:, SLOW[0] :])
-
-    def of_noise(self, t: Array) -> tuple[Array, Array]:
-        """Variances (5,) of a random walk and of its integral, both of density one.
-
-        They are those in each slow degree, and in the others on average.
-        """
-        a, b = np.minimum(t, t[:, None]), np.maximum(t, t[:, None])
-        walk, integral = a, a**2 * (3.0 * b - a) / 6.0
-        return self._powers(walk), self._powers(integral)
-
-    def _powers(self, covariance: Array) -> Array:
-        """Variances (5,) of a noise (K,) with a covariance (K, K)."""
-        slow = np.einsum("kd,kl,ld->d", self.slow, covariance, self.slow)
-        parabola = np.einsum("kd,kl,ld->", self.parabola, covariance, self.parabola)
-        rest = np.trace(covariance) - parabola - slow.sum()
-        return np.append(slow, rest / max(len(covariance) - len(slow) - SLOW[0], 1))
 
 
 @dataclass(frozen=True)
@@ -214,53 +177,6 @@ def information(a: Array, bases: Bases, noise: float) -> tuple[Array, Array, flo
     products[SCALE, -1] -= noise
     products[-1, SCALE] -= noise
     return products, slow, 3.0 * (K - SLOW[0])
-
-
-@dataclass(frozen=True)
-class Noise:
-    """Noise of the residuals of W windows.
-
-    Attributes:
-        dof: (W,) number of residuals.
-        slow: (W, 4) variance of those of each slow degree.
-        rest: (W,) variance of the others.
-    """
-
-    dof: Array
-    slow: Array
-    rest: Array
-
-    @property
-    def variance(self) -> Array:
-        """(W,) mean variance of a residual."""
-        few = 3.0 * len(SLOW)
-        return (3.0 * self.slow.sum(axis=1) + (self.dof - few) * self.rest) / self.dof
-
-    @property
-    def excess(self) -> float:
-        """Number of residuals that count as one, since their noise is not white.
-
-        The number of equal ones would be (sum P)^2 / sum P^2 of the powers P.
-        """
-        few, dof = 3.0 * len(SLOW), float(self.dof.mean())
-        slow = (self.slow / self.variance[:, None]).mean(axis=0)
-        rest = float((self.rest / self.variance).mean())
-        return max(1.0, (3.0 * float(slow @ slow) + (dof - few) * rest**2) / dof)
-
-    @property
-    def weights(self) -> Array:
-        """(W,) of the products."""
-        return 1.0 / (self.variance * self.excess)
-
-    def at_least(self, imu: Array, share: float) -> "Noise":
-        """With the noise of the IMU in it, whether or not it shows.
-
-        Args:
-            imu: (W, 5) variances in the slow degrees and in the others by the noise of the IMU.
-            share: Of the IMU's noise that is in the residuals.
-        """
-        rest = self.rest + (1.0 - share**2) * imu[:, -1]
-        return Noise(self.dof, np.maximum(self.slow, imu[:, :-1] + rest[:, None]), rest)
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,6 @@ from insdvl.watch.estimation import (
     MOUNT,
     SCALE,
     SIZE,
-    SLOW,
-    Bases,
     Fit,
     Information,
     Mounted,
@@ -28,7 +26,7 @@ from insdvl.watch.estimation import (
     rows,
 )
 from insdvl.watch.gravity import GRAVITY
-from insdvl.watch.windows import Window, integrated
+from insdvl.watch.windows import SLOW, Bases, Window, integrated
 
 SMALLEST = 1e-3  # m/s, noise of a DVL; none is better
 ACCUSED = 2.0 * math.log(1e4)  # twice the log of the odds against right parameters
