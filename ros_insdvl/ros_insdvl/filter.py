@@ -32,8 +32,9 @@ from insdvl.timeline.fold import Fold
 from insdvl.timeline.jumps import TimeJump
 from insdvl.timeline.output import AppliedUpdate
 from insdvl.timeline.state_file import StateFile
-from insdvl.watch.alignment import FrameCheck
+from insdvl.watch.alignment import AlignmentCheck
 from insdvl.watch.start import report_of_start
+from insdvl.watch.windows import integrated
 from ros_insdvl.conversions import message_class
 from ros_insdvl.execution import run_node
 from ros_insdvl.node import InsdvlNode
@@ -66,7 +67,7 @@ def compile_kernels(parameters: FilterParameters) -> None:
             output_delay=0.0,
         )
     )
-    check = FrameCheck(parameters)
+    check = AlignmentCheck(parameters)
     step = round(NS / parameters.imu.rate)
     events: list[Event] = [
         ImuSample(k * step, np.array([0.0, 0.0, -9.8]), np.zeros(3)) for k in range(1, 5)
@@ -80,6 +81,8 @@ def compile_kernels(parameters: FilterParameters) -> None:
         fold.add(event)
         check.add(event)
     check.add(Dvl(4 * step, np.full(3, 0.01)))
+    stamps, zeros = step * np.arange(1, 4), np.zeros((3, 3))
+    integrated(stamps, zeros, zeros, stamps, zeros, 0.0)  # as the check does after a window
     fold.take()
     gyrocompass.jacobian(np.eye(3), 0.0, 0.0)  # calls the Earth's rate and gravity, as a start does
 

@@ -440,7 +440,7 @@ from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.timeline.fold import Fold
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build
-from insdvl.watch.alignment import FrameCheck
+from insdvl.watch.alignment import AlignmentCheck
 from ros_insdvl.filter import compile_kernels
 
 def signatures():
@@ -453,7 +453,7 @@ def late_compilations(values):
     compile_kernels(parameters)
     compiled = signatures()
     assert compiled
-    fold, check, rng = Fold(parameters), FrameCheck(parameters), np.random.default_rng(1)
+    fold, check, rng = Fold(parameters), AlignmentCheck(parameters), np.random.default_rng(1)
     events = []
     if "initial.heading" not in values:  # else the filter starts by itself
         events.append(Initial(NS + 1, np.eye(3), np.zeros(3), np.zeros(3), "body"))

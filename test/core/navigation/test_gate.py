@@ -89,8 +89,8 @@ def body_velocity_error(result: FoldResult, m: Mission) -> np.ndarray:
 def test_the_threshold_is_chi_square_with_three_degrees_of_freedom(probability: float) -> None:
     """The same ping, with its innovation scaled to a NIS around the limit.
 
-    Beyond it its gain is as much smaller as the NIS is larger; a step that the IMU has not seen, far
-    beyond it, is rejected.
+    Beyond it its gain is as much smaller as the NIS is larger; a large step that the IMU has not
+    seen is rejected.
     """
     m, limit = mission(duration=5.0), chi2.ppf(probability, 3)
     settings = parameters(probability=probability)

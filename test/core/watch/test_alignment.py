@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from recordings import record
+from watched import events
 
 from insdvl.navigation.events import NS, Event, Imu
 from insdvl.navigation.measurements.dvl import Dvl
@@ -19,7 +20,7 @@ from insdvl.simulation.trajectories import AUV, BASELINE, LOOP, STATIC
 from insdvl.studies.replay.fold import fold_recording
 from insdvl.studies.replay.scores import report
 from insdvl.watch import alignment
-from insdvl.watch.alignment import FrameCheck
+from insdvl.watch.alignment import AlignmentCheck
 
 Array = NDArray[np.float64]
 
@@ -39,21 +40,8 @@ def reversed_axis(axis: str) -> Array:
     return np.diag([-1.0 if name == axis else 1.0 for name in "xyz"])
 
 
-def events(mission: Mission, f: Array = SAME, w: Array = SAME, d: Array = SAME) -> list[Event]:
-    """The mission's events in the order of their stamps, with changed axes of the sensors."""
-    found: list[Event] = [
-        Imu(stamp, f_b, w_b)
-        for stamp, f_b, w_b in zip(
-            mission.stamps_ns.tolist(), mission.f_b @ f.T, mission.w_ib_b @ w.T, strict=True
-        )
-    ]
-    v_d = mission.v_d @ d.T
-    found += [Dvl(stamp, v) for stamp, v in zip(mission.dvl_stamps_ns.tolist(), v_d, strict=True)]
-    return sorted(found, key=lambda event: (event.stamp_ns, event.kind))
-
-
 def check(found: Iterable[Event], **parameters: Any) -> list[str]:
-    watch = FrameCheck(build(FilterParameters, parameters))
+    watch = AlignmentCheck(build(FilterParameters, parameters))
     for event in found:
         watch.add(event)
     return watch.findings()
@@ -127,13 +115,15 @@ def test_a_reversed_gyroscope_is_named(mission: Mission, axis: str) -> None:
     assert finding.startswith(f"gyroscope {axis} has the wrong sign")
 
 
-@pytest.mark.parametrize("axis", "xyz")
+@pytest.mark.parametrize(
+    "axis", ["x", *(pytest.param(axis, marks=pytest.mark.long) for axis in "yz")]
+)
 def test_where_noise_hides_which_one_it_is_all_that_fit_are_named(axis: str) -> None:
-    mission = simulate(AUV, SCENARIOS["varying"], seed=2, duration=125.0)
+    mission = simulate(AUV, SCENARIOS["varying"], seed=2, duration=305.0)
     (finding,) = check(events(mission, w=reversed_axis(axis)))
-    accused, _ = finding.split(" has the wrong sign")
-    assert f"gyroscope {axis}" in accused.split(" or ")
-    assert len(accused.split(" or ")) <= 2
+    accused = finding.split("; or ")
+    assert any(text.startswith(f"gyroscope {axis} has the wrong sign") for text in accused)
+    assert len(accused) <= 3
 
 
 @pytest.mark.parametrize("axis", "xyz")
@@ -146,7 +136,7 @@ def test_a_reversed_axis_of_the_dvl_is_named_when_it_measures_motion(axis: str) 
     options = {"dvl.mount": mount, "frame_convention": "ned"}
     assert not check(events(mission), **options)
     (finding,) = check(events(mission, d=reversed_axis(axis)), **options)
-    assert finding.startswith(f"DVL {axis} has the wrong sign")
+    assert f"DVL {axis} has the wrong sign" in finding
 
 
 def test_two_reversed_axes_are_named(mission: Mission) -> None:
@@ -162,20 +152,20 @@ def test_two_reversed_axes_are_named(mission: Mission) -> None:
     ("trajectory", "scenario"),
     [
         (AUV, "varying"),
-        (LOOP, "wide"),
         (STATIC, "wide"),
+        pytest.param(LOOP, "wide", marks=pytest.mark.long),
         *(pytest.param(AUV, name, marks=pytest.mark.long) for name in SCENARIOS),
         *(pytest.param(motion, "wide", marks=pytest.mark.long) for motion in BASELINE.values()),
     ],
 )
 def test_a_right_mission_is_never_accused(trajectory: Any, scenario: str) -> None:
     mission = simulate(trajectory, SCENARIOS[scenario], seed=4, duration=300.0)
-    watch = FrameCheck(FilterParameters())
+    watch = AlignmentCheck(FilterParameters())
     for k, event in enumerate(events(mission)):
         watch.add(event)
         if k % 500 == 0:
             assert watch.findings() == []
-    assert len(watch._residuals) == 14
+    assert len(watch._motions) == 14
 
 
 def test_errors_of_the_sensors_are_no_wrong_axes() -> None:
@@ -196,11 +186,16 @@ def test_errors_of_the_sensors_are_no_wrong_axes() -> None:
             outlier_probability=0.05,
         ),
     )
-    watch = FrameCheck(build(FilterParameters, {"dvl.lever_arm": lever_arm}))
+    declared = {
+        "dvl.lever_arm": lever_arm,
+        "initial.accelerometer_bias_std": 0.1,
+        "initial.gyroscope_bias_std": 2e-3,
+    }
+    watch = AlignmentCheck(build(FilterParameters, declared))
     for k, event in enumerate(events(mission)):
         watch.add(event)
         assert k % 50 or not watch.findings()  # a finding takes 10 s of samples
-    assert 8 <= len(watch._residuals) <= 12
+    assert 8 <= len(watch._motions) <= 12
 
 
 def test_sensors_without_any_noise_are_not_accused_of_rounding() -> None:
@@ -218,7 +213,7 @@ def test_sensors_without_any_noise_are_not_accused_of_rounding() -> None:
 
 
 def test_what_does_not_move_tells_nothing_of_a_reversed_axis() -> None:
-    mission = simulate(STATIC, SCENARIOS["varying"], seed=6, duration=200.0)
+    mission = simulate(STATIC, SCENARIOS["varying"], seed=6, duration=125.0)
     for axis in "xyz":
         assert not check(events(mission, w=reversed_axis(axis)))
 
@@ -238,18 +233,18 @@ def test_the_order_of_arrival_does_not_matter_much(mission: Mission) -> None:
 
 
 def test_a_gap_begins_a_new_window(mission: Mission) -> None:
-    watch = FrameCheck(FilterParameters())
+    watch = AlignmentCheck(FilterParameters())
     for event in events(mission):
         if isinstance(event, Imu) and event.stamp_ns % (15 * NS) < 2 * NS:
             continue
         watch.add(event)
-    assert len(watch._residuals) == 0  # none is as long as 20 s
+    assert len(watch._motions) == 0  # none is as long as 20 s
     assert not watch.findings()
 
 
 def test_memory_is_bounded() -> None:
     """Of DVL measurements that wait for ever, come too often, and of samples without any."""
-    watch = FrameCheck(FilterParameters())
+    watch = AlignmentCheck(FilterParameters())
     f, v = np.array([0.0, 0.0, -9.8]), np.array([1.0, 0.0, 0.0])
     for k in range(2000):
         watch.add(Dvl(k, v))
@@ -261,8 +256,8 @@ def test_memory_is_bounded() -> None:
             watch.add(Dvl(k * 10_000_000 - 1, v))
         assert len(watch._pings) <= 102
         assert len(watch._waiting) <= alignment._WAITING
-        assert watch._size <= alignment._SAMPLES
-    assert 3 <= len(watch._residuals) <= alignment.WINDOWS
+        assert watch._size <= alignment._STEPS
+    assert 3 <= len(watch._motions) <= alignment.WINDOWS
 
 
 # ---------------------------------------------------------------- replay

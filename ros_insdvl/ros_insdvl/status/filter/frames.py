@@ -3,7 +3,7 @@
 from insdvl.messages.inputs import Inputs
 from insdvl.navigation.events import Event
 from insdvl.navigation.parameters import FilterParameters
-from insdvl.watch.alignment import FrameCheck
+from insdvl.watch.alignment import AlignmentCheck
 from ros_insdvl.status.diagnostics import ERROR, RECENT, WARN, Status, View
 from ros_insdvl.status.filter.base import Cause
 from ros_insdvl.status.reasons import OF_FRAMES
@@ -19,7 +19,7 @@ class Frames(Cause):
 
     def reset(self) -> None:
         """The check starts again."""
-        self._check = FrameCheck(self._parameters)
+        self._check = AlignmentCheck(self._parameters)
 
     def took(self, event: Event) -> None:
         """Let the check see an event."""

@@ -18,7 +18,7 @@ from insdvl.recordings.parameters import ReplayParameters
 from insdvl.recordings.played import played
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.output import AppliedUpdate, FoldResult
-from insdvl.watch.alignment import FrameCheck
+from insdvl.watch.alignment import AlignmentCheck
 
 #: Limit of the samples of a recording: 28 hours at 100 Hz. All states are in memory, 3 kB each.
 MAX_SAMPLES = 10_000_000
@@ -57,7 +57,7 @@ class Replayed:
         fold: With the states at all IMU stamps; those before a time jump are in ``fold.left``.
         refused: Messages that were not used, by topic and reason.
         measurements: Name of the measurement of each topic that feeds one.
-        findings: Contradictions of the frames, see `FrameCheck`.
+        findings: Contradictions of the frames, see `AlignmentCheck`.
     """
 
     fold: Fold
@@ -105,10 +105,10 @@ def fold_recording(recording: Sequence[Raw], parameters: FilterParameters) -> Re
         ParameterError: Two parameters name one topic.
     """
     feed = Feed(parameters, capacity=sum(raw.topic == IMU for raw in recording) + 1)
-    checks = [FrameCheck(parameters)]  # one for each part
+    checks = [AlignmentCheck(parameters)]  # one for each part
     for events in feed_recording(recording, feed):
         if len(feed.fold.left) >= len(checks):
-            checks.append(FrameCheck(parameters))
+            checks.append(AlignmentCheck(parameters))
             continue
         for event, refusal in events:
             if refusal is None:

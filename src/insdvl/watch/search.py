@@ -1,0 +1,331 @@
+"""Which cause explains the motion best, and which others explain it nearly as well."""
+
+import math
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from insdvl.arrays import Array, Stamps
+from insdvl.navigation.events import NS
+from insdvl.watch.causes import NOTHING, TURNS, Cause, Miswired
+from insdvl.watch.estimation import (
+    MOUNT,
+    SCALE,
+    SIZE,
+    Fit,
+    Information,
+    Mounted,
+    Prior,
+    Problem,
+    Travel,
+    information,
+    linear_fit,
+    linear_spread,
+    rows,
+)
+from insdvl.watch.gravity import GRAVITY
+from insdvl.watch.windows import SLOW, Bases, Window, integrated
+
+SMALLEST = 1e-3  # m/s, noise of a DVL; none is better
+ACCUSED = 2.0 * math.log(1e4)  # twice the log of the odds against right parameters
+AS_GOOD = 2.0 * math.log(1e2)  # of the odds up to which another cause is named as well
+SPEED = 5.0  # m/s, one sigma of the speed of a vehicle
+CHANCE = 3.0  # sigmas of the power of noise
+FREE = Cause(frozenset(["mount", "scale", "arm", "delay"]))
+BEAM = 2  # most probable causes to which one thing more is added
+UNEXPLAINED = 1.5  # excess of the slow part of a residual, from which all causes are tried
+
+
+@dataclass(frozen=True)
+class Samples:
+    """What a window was made of, see `integrated`."""
+
+    stamps: Stamps
+    f: Array
+    w: Array
+    pings: Stamps
+    v_d: Array
+    average: float
+
+    def window(self, cause: Miswired | None = None) -> Window:
+        """The window, with the readings that a cause takes for right."""
+        f, w, v_d = self.f, self.w, self.v_d
+        if cause is not None:
+            f, w, v_d = f @ cause.accelerometer.T, w @ cause.gyroscope.T, v_d @ cause.dvl.T
+        return integrated(self.stamps, f, w, self.pings, v_d, self.average)
+
+
+class Motion:
+    """One window, with what every miswired sensor would make of it once that is asked for."""
+
+    def __init__(self, samples: Samples) -> None:
+        self.samples = samples
+        self.window = samples.window()
+        self.bases = Bases.of(self.window.t)
+        self.noise = self._noise()
+        few = 3.0 * len(SLOW)
+        dof = 3.0 * (len(self.window.t) - SLOW[0])
+        self.squares = 3.0 * float(self.noise[:-1].sum()) + (dof - few) * float(self.noise[-1])
+        self.tried: list[tuple[Array, Array, float]] = []
+
+    def _noise(self) -> Array:
+        """Variances (5,) of the residual by the noise of the IMU, see `of_noise` [(m/s)^2].
+
+        A turn by an angular random walk leaks gravity, and turns the velocity. The noise is what
+        differs from sample to sample.
+        """
+        s = self.samples
+        dt = float(np.diff(s.stamps).mean()) / NS
+        w, f = ((np.diff(a, axis=0) ** 2).mean() / 2.0 * dt for a in (s.w, s.f))
+        of_walk, of_integral = self.bases.of_noise(self.window.t)
+        speed = float((self.window.v_d**2).sum(axis=1).mean())
+        turned = 2.0 / 3.0 * w * (speed * of_walk + GRAVITY**2 * of_integral)  # two of three
+        return turned + f * of_walk
+
+    def compute(self, causes: Sequence[Miswired], known: Mounted) -> None:
+        """Compute what each cause makes of the window."""
+        here = np.zeros(SIZE)
+        self.tried = [
+            information(rows(self.samples.window(cause), known, here), self.bases, 0.0)
+            for cause in causes
+        ]
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """A cause, and the values that it gives.
+
+    Attributes:
+        cause: What is wrong.
+        fit: The values.
+        cost: -2 ln of its probability, up to a constant.
+    """
+
+    cause: Cause | Miswired
+    fit: Fit
+    cost: float
+
+    @property
+    def accuses(self) -> frozenset[str]:
+        """What is accused; two explanations of the same differ in its value only."""
+        cause = self.cause
+        if isinstance(cause, Cause):
+            names = {"mount" if block in TURNS else block for block in cause.blocks}
+            return frozenset(names | ({"scale"} if cause.unit else set()))
+        if cause.factor != 1.0:
+            return frozenset(["gyroscope scale"])
+        if cause.sensor == "DVL" and np.linalg.det(cause.matrix) > 0.0:
+            return frozenset(["mount"])
+        return frozenset([f"{cause.sensor} {cause.matrix.tolist()}"])
+
+
+class Search:
+    """Explains windows of motion.
+
+    Args:
+        known: The mount that the parameters tell.
+        causes: The miswired sensors that are tried.
+        accelerometer_bias: One sigma [m/s^2].
+        gyroscope_bias: One sigma [rad/s].
+    """
+
+    def __init__(
+        self,
+        known: Mounted,
+        causes: Sequence[Miswired],
+        accelerometer_bias: float,
+        gyroscope_bias: float,
+    ) -> None:
+        self.known = known
+        self.causes = causes
+        self._biases = (accelerometer_bias, gyroscope_bias)
+
+    def _prior(self, cause: Cause | Miswired) -> Prior:
+        return cause.prior(*self._biases)
+
+    def problem(self, motions: Sequence[Motion]) -> Problem:
+        """Of estimating the unknowns from some windows."""
+        windows, bases = [m.window for m in motions], [m.bases for m in motions]
+        return Problem(windows, bases, [m.squares for m in motions], self.known, SMALLEST**2)
+
+    def suspects(self, motions: Sequence[Motion]) -> bool:
+        """Whether anything may be wrong: a quick answer, that is seldom yes without a reason."""
+        problem = self.problem(motions)
+        nominal = problem.fit(self._prior(NOTHING), np.zeros(SIZE))
+        if nominal.noise.excess > UNEXPLAINED:
+            return True
+        info = problem.at(np.zeros(SIZE))
+        straight = linear_fit(info, self._prior(NOTHING), SMALLEST**2)
+        return any(
+            linear_fit(info, self._prior(cause), SMALLEST**2).cost() + cause.penalty
+            < straight.cost()
+            for cause in NOTHING.more()
+        )
+
+    def explain(self, motions: Sequence[Motion]) -> Generator[None, None, list[Explanation]]:
+        """The explanations that are nearly as probable as the best one, that first.
+
+        Empty when the parameters are right, or nothing tells that they are not. One thing more is
+        taken to be wrong as long as that makes the explanation more probable. It pauses after each
+        hundredth of a second or so.
+        """
+        problem = self.problem(motions)
+        fits: dict[Cause | Miswired, Fit] = {}
+        tried = {
+            cause: Information.of([m.tried[k] for m in motions], self._climb(motions, cause))
+            for k, cause in enumerate(self.causes)
+        }
+        for cause, info in tried.items():
+            fits[cause] = linear_fit(info, self._prior(cause), SMALLEST**2)
+        yield
+        fits[NOTHING] = yield from self._fit(problem, NOTHING)
+        size, beam = 0, [NOTHING]
+        while beam and size == beam[0].size:
+            for cause in (c for b in beam for c in b.more()):
+                if cause not in fits:
+                    fits[cause] = yield from self._fit(problem, cause)
+            found = [e.cause for e in self._ranked(fits, motions) if isinstance(e.cause, Cause)]
+            size += 1
+            beam = found[:BEAM] if found[0].size == size else []
+            beam = [c for c in beam if c.size == size]
+        ranked = self._ranked(fits, motions)
+        nothing = next(e for e in ranked if e.cause is NOTHING)
+        if nothing.cost - ranked[0].cost < ACCUSED:
+            return []
+        chosen: list[Explanation] = []
+        for e in ranked:
+            if e.cost - ranked[0].cost > AS_GOOD:
+                break
+            if not any(e.accuses >= c.accuses for c in chosen):
+                chosen.append(self._spread(problem, tried, e) if "mount" in e.accuses else e)
+        return chosen
+
+    def free(self, motions: Sequence[Motion], explanation: Explanation | None) -> Fit:
+        """The unknowns with nothing known of mount, scale, lever arm and stamps.
+
+        Args:
+            motions: The windows.
+            explanation: Of the windows, with a cause that is none of miswired axes; None where the
+                parameters are right.
+        """
+        values, prior = np.zeros(SIZE), self._prior(FREE)
+        if explanation is not None and isinstance(explanation.cause, Cause):
+            values = explanation.fit.values
+            prior.mean[SCALE] = self._prior(explanation.cause).mean[SCALE]
+        return self.problem(motions).fit(prior, values)
+
+    def _climb(self, motions: Sequence[Motion], cause: Miswired) -> Array:
+        """Row (16,) of the vehicle's climb when a cause is taken for right."""
+        v_d = np.concatenate([m.window.v_d for m in motions]) @ cause.dvl.T
+        f = np.concatenate([m.window.f for m in motions]) @ cause.accelerometer.T
+        return Travel.of(v_d, f).row(self.known, np.zeros(SIZE))
+
+    def _fit(self, problem: Problem, cause: Cause) -> Generator[None, None, Fit]:
+        """The fit of a cause; it pauses after each try."""
+        prior = self._prior(cause)
+        if not cause.blocks & TURNS:
+            yield
+            return problem.fit(prior, prior.mean)
+        fits = []
+        for start in problem.starts(prior, level="yaw" in cause.blocks):
+            fits.append(problem.fit(prior, start))
+            yield
+        best = min(fits, key=lambda fit: fit.cost())
+        if "mount" in cause.blocks:
+            for start in problem.rolled(best):
+                fits.append(problem.fit(prior, start))
+                yield
+        return min(fits, key=lambda fit: fit.cost())
+
+    def _spread(
+        self, problem: Problem, tried: dict[Miswired, Information], e: Explanation
+    ) -> Explanation:
+        """An explanation by a turn, with the sigmas of one of which nothing was known."""
+        if isinstance(e.cause, Miswired):
+            prior = self._prior(Cause(frozenset(["mount"])))
+            covariance = linear_spread(tried[e.cause], e.fit, prior)
+        else:
+            prior = self._prior(replace(e.cause, blocks=e.cause.blocks - TURNS | {"mount"}))
+            covariance = problem.spread(e.fit, prior)
+        return replace(e, fit=replace(e.fit, covariance=covariance))
+
+    def _ranked(
+        self, fits: dict[Cause | Miswired, Fit], motions: Sequence[Motion]
+    ) -> list[Explanation]:
+        """All explanations, the most probable one first.
+
+        What is noise of the IMU in any case is no reason to prefer a cause that makes less of it,
+        such as a gyroscope whose rates are too large; nor is what a turn of the DVL makes of the
+        noise of an axis that measures nothing.
+        """
+        v_d = np.concatenate([m.window.v_d for m in motions])
+        square = float((v_d**2).sum(axis=1).mean())
+        least = np.array([m.noise for m in motions])
+        noises = {
+            cause: fit.noise.at_least(least, self._share(cause, fit)) for cause, fit in fits.items()
+        }
+
+        def cost(cause: Cause | Miswired, excess: float) -> float:
+            fit = fits[cause]
+            speed = math.sqrt(square) * math.exp(-fit.values[SCALE])
+            return fit.cost(noises[cause], excess) + cause.penalty + (speed / SPEED) ** 2
+
+        turns = {cause: self._turn(cause, fit) for cause, fit in fits.items()}
+        bounds = {
+            cause: [
+                (other, self._most(turns[cause], turns[other], fit, motions))
+                for other in cause.less_turned
+                if other in fits
+            ]
+            for cause, fit in fits.items()
+        }
+
+        def bounded(cause: Cause | Miswired, excess: float) -> float:
+            least = [cost(other, excess) - most / excess for other, most in bounds[cause]]
+            return max([cost(cause, excess), *least])
+
+        best = min(fits, key=lambda cause: bounded(cause, 1.0))
+        excess = noises[best].excess
+        found = [Explanation(cause, fit, bounded(cause, excess)) for cause, fit in fits.items()]
+        return sorted(found, key=lambda e: e.cost)
+
+    def _turn(self, cause: Cause | Miswired, fit: Fit) -> Array:
+        """DVL to body (3, 3) when a cause is taken for right."""
+        turn = Rotation.from_rotvec(fit.values[MOUNT]).as_matrix() @ self.known.C_b_d
+        return turn @ cause.dvl if isinstance(cause, Miswired) else turn
+
+    @staticmethod
+    def _most(turn: Array, other: Array, fit: Fit, motions: Sequence[Motion]) -> float:
+        """By how much one turn of the DVL can fit better than another: by the signal it changes.
+
+        The signal is the slow part of the change, less the noise that is in all of it.
+
+        Args:
+            turn: (3, 3) DVL to body.
+            other: (3, 3) the turn with which it is compared.
+            fit: With the turn.
+            motions: The windows.
+        """
+        change = turn - other
+        slow, noise = 0.0, 0.0
+        for motion, variance in zip(motions, fit.noise.variance, strict=True):
+            w, bases = motion.window, motion.bases
+            of_turn = np.einsum("kij,kj->ki", w.R, w.v_d @ change.T)
+            parts = [float(((b.T @ of_turn) ** 2).sum()) for b in (bases.slow, bases.parabola)]
+            rest = float((of_turn**2).sum()) - sum(parts)
+            dof = 3.0 * (len(w.t) - SLOW[-1] - 1)
+            slow += parts[0] / variance
+            noise += 3.0 * len(SLOW) * rest / dof / variance
+        # The power of noise in n values is within sqrt(2 n) of itself per value, one sigma.
+        chance = noise * math.sqrt(2.0 / (3.0 * len(SLOW) * len(motions)))
+        return max(0.0, slow - noise - CHANCE * chance)
+
+    @staticmethod
+    def _share(cause: Cause | Miswired, fit: Fit) -> float:
+        """Of the IMU's noise that a cause leaves in the residuals."""
+        share = math.exp(fit.values[SCALE])
+        if isinstance(cause, Miswired):
+            share /= cause.factor
+        return min(1.0, share)
