@@ -239,6 +239,7 @@ def test_with_a_reset_jacobian_the_filter_would_be_too_sure(
     assert nees["attitude"][:, -1].sum() > chi2.isf(1e-9, 3 * RUNS)
 
 
+@pytest.mark.long
 def test_at_a_large_heading_error_the_other_error_state_is_too_sure() -> None:
     """Which is why `invariant` is the default."""
     case = replace(CASES[0], error_state="ned")

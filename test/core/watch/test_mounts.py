@@ -70,7 +70,7 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Array], str, list[float], float
 }
 
 #: Those that run every time; all of them, with all grades, run in the long tests.
-QUICK = ("DVL 45", "IMU 90", "IMU x and y", "gyroscope in deg/s", "cm/s", "scale 1.3")
+QUICK = ("DVL 45", "IMU 90", "IMU x and y", "gyroscope in deg/s", "cm/s")
 
 
 def mission_of(
@@ -128,7 +128,7 @@ def is_named(case: str, grade: str, duration: float) -> None:
 
 @pytest.mark.parametrize("case", QUICK)
 def test_it_is_named_with_its_value(case: str) -> None:
-    is_named(case, "fog", 300.0 if case in ("scale 1.3", "DVL 45") else 170.0)
+    is_named(case, "fog", 300.0 if case == "DVL 45" else 170.0)
 
 
 @pytest.mark.long

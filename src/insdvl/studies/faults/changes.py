@@ -62,6 +62,11 @@ def triad(name: str, change: Callable[[Array], Array]) -> Edit:
     return edit
 
 
+def both(first: Edit, second: Edit) -> Edit:
+    """Two edits of one message."""
+    return lambda message: second(first(message))
+
+
 def velocity(change: Callable[[Array], Array]) -> Edit:
     """Change the linear velocity (3,) of a TwistStamped."""
 

@@ -2,12 +2,14 @@
 
 import numpy as np
 
+from insdvl.arrays import Array
 from insdvl.messages.topics import DVL, DVL_WITH_COVARIANCE
 from insdvl.navigation.events import NS
 from insdvl.studies.faults import changes
 from insdvl.studies.faults.changes import axis, velocity
 from insdvl.studies.faults.checks import (
     covered,
+    error_below,
     none_refused,
     nothing_refused,
     recovers,
@@ -22,6 +24,16 @@ from insdvl.studies.faults.stream import Sensors
 
 #: What DVLs without bottom lock report in place of a velocity [m/s]: the smallest 16-bit number.
 FILL = -32.768
+
+
+#: What a DVL reads more of the water than of the bottom, in a current [m/s].
+WATER = np.array([0.3, 0.4, 0.0])
+
+
+def _noise(v: Array) -> Array:
+    """Nothing but noise (3,) [m/s], another one for each velocity."""
+    seed = np.frombuffer(v.tobytes(), np.uint32)
+    return 0.02 * np.random.default_rng(seed).standard_normal(3)
 
 
 def _rows() -> list[FlightRow]:
@@ -161,6 +173,27 @@ def _rows() -> list[FlightRow]:
             (update_reason("too_fast"), covered(), recovers(10.0), rejoins()),
             begin=60.0,
             end=180.0,
+        ),
+        FlightRow(
+            "DVL",
+            "bottom lock lost for 60 s: zeros with a noise of 2 cm/s",
+            changes.edited(DVL, BEGIN, BEGIN + 60.0, velocity(_noise)),
+            (covered(), recovers(10.0), rejoins()),
+            end=BEGIN + 60.0,
+            sensors=Sensors(imu="good", dvl_rate=5.0, dvl_noise=0.02),
+            parameters={"dvl.noise_std": (0.02,) * 3},
+        ),
+        FlightRow(
+            "DVL",
+            "bottom and water in turn for 60 s, off by 0.5 m/s",
+            changes.alternating(
+                DVL, BEGIN, BEGIN + 60.0, velocity(lambda v: v), velocity(lambda v: v + WATER)
+            ),
+            # No rule tells which of the two is right; without the gate it is up to 0.4 m/s.
+            (error_below(0.6), recovers(40.0), rejoins()),
+            end=BEGIN + 60.0,
+            sensors=Sensors(imu="good", dvl_noise=0.02),
+            parameters={"dvl.noise_std": (0.02,) * 3},
         ),
         FlightRow(
             "DVL",

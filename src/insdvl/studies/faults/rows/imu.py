@@ -12,6 +12,7 @@ from insdvl.studies.faults.changes import FORCE, RATE, Change, axis, triad
 from insdvl.studies.faults.checks import (
     counter,
     covered,
+    error_below,
     nothing_refused,
     recovers,
     refused,
@@ -206,6 +207,7 @@ def _rows() -> list[FlightRow]:
                 end=140.0,
             )
         )
+    rows += _glitches()
     for rate in (50.0, 200.0, 1000.0):
         rows.append(
             FlightRow(
@@ -216,6 +218,58 @@ def _rows() -> list[FlightRow]:
                 begin=40.0 if rate > 500.0 else BEGIN,
                 end=50.0 if rate > 500.0 else END,
                 sensors=Sensors(rate=rate),
+            )
+        )
+    return rows
+
+
+def _glitches() -> list[FlightRow]:
+    """Samples that say nothing, or something else than their neighbours."""
+    zeros = changes.both(triad(FORCE, np.zeros_like), triad(RATE, np.zeros_like))
+    rows = []
+    for words, edit, count, counted in (
+        ("one sample of zeros", zeros, 1, "no_data"),
+        ("three samples of zeros", zeros, 3, "no_data"),
+        ("20 samples of zeros", zeros, 20, "no_data"),
+        ("a specific force of zero for 2 s", triad(FORCE, np.zeros_like), 200, "no_data"),
+        ("one sample of 60 m/s^2 in z", triad(FORCE, axis(2, 60.0)), 1, "glitches"),
+        ("one sample of -1000 m/s^2 in x", triad(FORCE, axis(0, -1000.0)), 1, "glitches"),
+        ("one sample of 10 rad/s about z", triad(RATE, axis(2, 10.0)), 1, "glitches"),
+    ):
+        end = BEGIN + count / 100.0 - 0.005
+        rows.append(
+            FlightRow(
+                "IMU",
+                words,
+                changes.edited(IMU, BEGIN - 0.005, end, edit),
+                (
+                    nothing_refused(),
+                    counter(counted, count),
+                    covered(),
+                    recovers(10.0),
+                    rejoins(),
+                ),
+                end=end,
+                sensors=Sensors(imu="good", dvl_noise=0.02),
+                parameters={"dvl.noise_std": (0.02,) * 3},
+            )
+        )
+    for words, edit, count in (
+        ("five samples of 3 m/s^2 in y", triad(FORCE, axis(1, 3.0)), 5),
+        ("two samples of 10 rad/s about z", triad(RATE, axis(2, 10.0)), 2),
+        ("four samples of 2 rad/s about x", triad(RATE, axis(0, 2.0)), 4),
+    ):
+        # They agree with each other, so they are believed until the next DVL measurement.
+        end = BEGIN + count / 100.0 - 0.005
+        rows.append(
+            FlightRow(
+                "IMU",
+                words,
+                changes.edited(IMU, BEGIN - 0.005, end, edit),
+                (nothing_refused(), error_below(2.0), recovers(10.0), rejoins()),
+                end=end,
+                sensors=Sensors(imu="good", dvl_noise=0.02),
+                parameters={"dvl.noise_std": (0.02,) * 3},
             )
         )
     return rows
