@@ -226,47 +226,29 @@ def _rows() -> list[FlightRow]:
 def _glitches() -> list[FlightRow]:
     """Samples that say nothing, or something else than their neighbours."""
     zeros = changes.both(triad(FORCE, np.zeros_like), triad(RATE, np.zeros_like))
+    no_force = triad(FORCE, np.zeros_like)
+    one, agree = (counter("glitches", 1), covered()), (error_below(2.0),)
     rows = []
-    for words, edit, count, counted in (
-        ("one sample of zeros", zeros, 1, "no_data"),
-        ("three samples of zeros", zeros, 3, "no_data"),
-        ("20 samples of zeros", zeros, 20, "no_data"),
-        ("a specific force of zero for 2 s", triad(FORCE, np.zeros_like), 200, "no_data"),
-        ("one sample of 60 m/s^2 in z", triad(FORCE, axis(2, 60.0)), 1, "glitches"),
-        ("one sample of -1000 m/s^2 in x", triad(FORCE, axis(0, -1000.0)), 1, "glitches"),
-        ("one sample of 10 rad/s about z", triad(RATE, axis(2, 10.0)), 1, "glitches"),
-    ):
-        end = BEGIN + count / 100.0 - 0.005
-        rows.append(
-            FlightRow(
-                "IMU",
-                words,
-                changes.edited(IMU, BEGIN - 0.005, end, edit),
-                (
-                    nothing_refused(),
-                    counter(counted, count),
-                    covered(),
-                    recovers(10.0),
-                    rejoins(),
-                ),
-                end=end,
-                sensors=Sensors(imu="good", dvl_noise=0.02),
-                parameters={"dvl.noise_std": (0.02,) * 3},
-            )
-        )
-    for words, edit, count in (
-        ("five samples of 3 m/s^2 in y", triad(FORCE, axis(1, 3.0)), 5),
-        ("two samples of 10 rad/s about z", triad(RATE, axis(2, 10.0)), 2),
-        ("four samples of 2 rad/s about x", triad(RATE, axis(0, 2.0)), 4),
-    ):
+    for words, edit, count, checks in (
+        ("one sample of zeros", zeros, 1, (counter("no_data", 1), covered())),
+        ("three samples of zeros", zeros, 3, (counter("no_data", 3), covered())),
+        ("20 samples of zeros", zeros, 20, (counter("no_data", 20), covered())),
+        ("a specific force of zero for 2 s", no_force, 200, (counter("no_data", 200), covered())),
+        ("one sample of 60 m/s^2 in z", triad(FORCE, axis(2, 60.0)), 1, one),
+        ("one sample of -1000 m/s^2 in x", triad(FORCE, axis(0, -1000.0)), 1, one),
+        ("one sample of 10 rad/s about z", triad(RATE, axis(2, 10.0)), 1, one),
         # They agree with each other, so they are believed until the next DVL measurement.
+        ("five samples of 3 m/s^2 in y", triad(FORCE, axis(1, 3.0)), 5, agree),
+        ("two samples of 10 rad/s about z", triad(RATE, axis(2, 10.0)), 2, agree),
+        ("four samples of 2 rad/s about x", triad(RATE, axis(0, 2.0)), 4, agree),
+    ):
         end = BEGIN + count / 100.0 - 0.005
         rows.append(
             FlightRow(
                 "IMU",
                 words,
                 changes.edited(IMU, BEGIN - 0.005, end, edit),
-                (nothing_refused(), error_below(2.0), recovers(10.0), rejoins()),
+                (nothing_refused(), *checks, recovers(10.0), rejoins()),
                 end=end,
                 sensors=Sensors(imu="good", dvl_noise=0.02),
                 parameters={"dvl.noise_std": (0.02,) * 3},
