@@ -70,8 +70,8 @@ class ImuParameters:
 GOOD, GLITCH, NO_DATA = range(3)
 #: A reading leaves its neighbours by so many sigma of the change between two of them.
 LEAVES = 8.0
-#: Changes that the sigma is taken from: at least, at most, and a change that leaves weighs as one
-#: of the last number, so that a stream that has become noisier is believed after a few samples.
+#: Changes that the sigma is taken from: at least, and at most. One that leaves right behind another
+#: weighs as one of the last number: a stream that has become noisier is believed after a few.
 FEWEST_CHANGES, CHANGES, QUICK = 50, 100, 10
 
 
@@ -86,7 +86,8 @@ def judge(s: State, c: Constants, sample_ns: int, reading: Array) -> None:
     """Whether the channels of a sample are believed; once for each sample.
 
     A reading that leaves those before it is a glitch, unless the next one is nearer to it than to
-    those: then it is believed after all, and the next sample makes up for it.
+    those: then it is believed after all, and the next sample makes up for it. Either may be wrong,
+    so the step is remembered for the gate.
 
     Args:
         s: State at the sample before, or inside the interval of this one.
@@ -108,10 +109,21 @@ def judge(s: State, c: Constants, sample_ns: int, reading: Array) -> None:
             change, agrees = _change(s, c, reading, i)
             if change > _limit(s, c, i):
                 channels.verdict[i] = GLITCH
+                _remember_step(s, i, sample_ns, change)
             elif agrees:
                 channels.amends[i] = channels.left_out[i] / ((sample_ns - channels.imu_ns) * 1e-9)
+                _remember_step(s, i, sample_ns, 0.0)
         if channels.verdict[i] != GOOD and channels.changes > 0:
             channels.amends[i] = channels.believed[i] - reading[i]
+
+
+@kernel
+def _remember_step(s: State, i: int, sample_ns: int, size: float) -> None:
+    """Size of the largest step of a channel since velocity was last told, first and last stamp."""
+    channels = s.channels
+    if channels.step_ns[i] <= channels.told_ns:
+        channels.step[i], channels.step_from_ns[i] = 0.0, channels.imu_ns
+    channels.step[i], channels.step_ns[i] = max(channels.step[i], size), sample_ns
 
 
 @kernel
@@ -150,17 +162,19 @@ def _learn(s: State, c: Constants, sample_ns: int, reading: Array) -> None:
         channels.left_out[:] = 0.0
         return
     for i in range(6):
-        change, agrees = _change(s, c, reading, i)
-        memory = min(channels.changes, CHANGES)
+        change, _ = _change(s, c, reading, i)
+        memory, saturated = min(channels.changes, CHANGES), is_saturated(c, reading, i)
+        again = channels.left_out[i] != 0.0
         if channels.verdict[i] == GLITCH:
             seconds = (sample_ns - channels.imu_ns) * 1e-9
-            channels.left_out[i] += (reading[i] - channels.believed[i]) * seconds
+            left_out = (reading[i] - channels.believed[i]) * seconds
+            channels.left_out[i] = 0.0 if saturated else left_out
+            if not again:
+                continue  # a single one tells nothing of the others
             change, memory = _limit(s, c, i), QUICK
         else:
             channels.believed[i], channels.left_out[i] = reading[i], 0.0
-            if follows and agrees:
-                channels.step_ns[i] = sample_ns
-        if follows and not is_saturated(c, reading, i):
+        if follows and not saturated:
             channels.change[i] += (change**2 - channels.change[i]) / memory
     if follows or channels.changes == 0:
         channels.changes += 1

@@ -399,7 +399,7 @@ class Filter:
             reason = "bad_covariance" if np.isnan(now.nis) else "not_finite"
             return self._report(event, now, False, reason)
         shown.advance(s, self.vehicle, stamp_ns)
-        used, accepted, reason = gate.judge(s, stamp_ns, now)
+        used, accepted, reason = gate.judge(s, stamp_ns, now, linearised.R)
         report = self._report(event, now, accepted, reason)
         if report.corrected:
             self._correct(state, event, turn, used)

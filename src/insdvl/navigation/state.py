@@ -122,9 +122,10 @@ _GATE = (
     # Innovation and stamp of the last that was surely a fault of the sensor
     Field("fault", NUMBER, (MAX_ROWS,)),
     Field("fault_ns", STAMP),
-    # The error that the sensor may have, one sigma in each row, and until when
+    # The error that the sensor may have, one sigma in each row, since when and for how long [ns]
     Field("doubt", NUMBER),
-    Field("doubt_until_ns", STAMP),
+    Field("doubt_from_ns", STAMP),
+    Field("doubt_for", COUNT),
 )
 
 #: Channels of the IMU, in its axes, f x, y, z then w x, y, z.
@@ -144,10 +145,12 @@ _CHANNELS = (
     Field("believed", NUMBER, (6,)),
     Field("verdict_ns", STAMP),
     Field("verdict", COUNT, (6,)),
-    # What the last sample is taken to have read more than it did, what a doubted one has left out
-    # [reading s], and when such a one was believed after all
+    # What the filter adds to the last sample, and what a doubted one has left out [reading s]
     Field("amends", NUMBER, (6,)),
     Field("left_out", NUMBER, (6,)),
+    # Largest step of a channel since velocity was told, stamps before the first and of the last
+    Field("step", NUMBER, (6,)),
+    Field("step_from_ns", STAMP, (6,)),
     Field("step_ns", STAMP, (6,)),
 )
 

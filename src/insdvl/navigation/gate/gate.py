@@ -69,8 +69,8 @@ class Gate:
     def start(self, s: State) -> None:
         """Nothing has borne the filter out yet."""
         g = self._memory(s)
-        g["trusted_for"], g["drifts"], g["claim"] = 0, 0, 0.0
-        g["doubt_until_ns"] = g["gave_in_ns"] = NEVER
+        g["trusted_for"], g["drifts"], g["claim"], g["left"] = 0, 0, 0.0, 0.0
+        g["accepted_ns"] = g["doubt_from_ns"] = g["gave_in_ns"] = NEVER
         _trust_sensor(g)
 
     def _memory(self, s: State) -> State:
@@ -79,22 +79,25 @@ class Gate:
     def doubted(self, s: State, stamp_ns: int, R: Array) -> Array:
         """Covariance (m, m) of the noise, with the error that the sensor may have at a stamp."""
         g = self._memory(s)
-        return R + g["doubt"] ** 2 * np.eye(len(R)) if stamp_ns < g["doubt_until_ns"] else R
+        return R + g["doubt"] ** 2 * np.eye(len(R)) if _is_doubted(g, stamp_ns) else R
 
-    def judge(self, s: State, stamp_ns: int, now: Innovated) -> tuple[Innovated, bool, str]:
+    def judge(
+        self, s: State, stamp_ns: int, now: Innovated, R: Array
+    ) -> tuple[Innovated, bool, str]:
         """Decide on a measurement; the covariance may be inflated, or the state restarted.
 
         Args:
             s: State at the measurement.
             stamp_ns: Of the measurement.
-            now: The measurement against its prediction; its NIS is finite.
+            now: The measurement against its prediction, with `doubted` R; its NIS is finite.
+            R: (m, m) covariance of its own noise.
 
         Returns:
             The same, with the error that it may have in R; whether it is used; and the reason:
             empty, ``gate``, or ``restarted`` where the state was set from it.
         """
         g, m, limit = self._memory(s), self._model.rows, self._limits[now.rows]
-        now = self._take_back(s, stamp_ns, now)
+        now = self._take_back(s, stamp_ns, now, R)
         fair = self._fair(s, now)
         if fair.nis > limit and self._imu_explains(s, stamp_ns, fair, limit):
             now = self._again(s, now, now.R)
@@ -109,8 +112,7 @@ class Gate:
                 now = self._again(s, now, now.R + np.outer(error, error))
                 fair = self._fair(s, now)
                 if probability > 0.5:
-                    g["doubt"] = np.linalg.norm(error)
-                    g["doubt_until_ns"] = g["rejected_from_ns"] + g["patient_for"]
+                    _doubt(g, np.linalg.norm(error), int(g["rejected_from_ns"]), g["patient_for"])
         if not goes_on:
             if not fair.nis > limit:
                 g["drifts"] = 0
@@ -140,8 +142,10 @@ class Gate:
             steady = since_ns <= LEAST_PATIENCE_NS and g["rejected_from_ns"] == NEVER
             # What was contradicted, or not looked at, counts double against the filter.
             trust_ns = int(g["trusted_for"]) + (since_ns if steady else -2 * since_ns)
-            settled = stamp_ns >= g["doubt_until_ns"] and not in_doubt(s)
-            g["trusted_for"] = min(max(trust_ns, 0), self._patience_ns) if settled else 0
+            if _is_doubted(g, stamp_ns):
+                g["trusted_for"] = 0
+            elif not in_doubt(s):
+                g["trusted_for"] = min(max(trust_ns, 0), self._patience_ns)
         g["accepted_ns"] = stamp_ns
         if self._model.tells_velocity:
             s["channels"]["told_ns"] = stamp_ns
@@ -286,8 +290,8 @@ class Gate:
             count = 1.0
             if g["patient_for"] > LEAST_PATIENCE_NS and not again:
                 count = max(self._patience_ns / (stamp_ns - int(g["judged_ns"])), 1.0)
-            g["doubt"] = np.sqrt(count) * np.linalg.norm(now.innovation)
-            g["doubt_until_ns"] = stamp_ns + self._patience_ns
+            error = np.sqrt(count) * np.linalg.norm(now.innovation)
+            _doubt(g, error, stamp_ns, self._patience_ns)
         claim[:] = 0.0 if back or again else now.innovation
         g["trusted_for"], g["gave_in_ns"] = 0, stamp_ns
         s["counters"]["inflations"] += 1
@@ -311,16 +315,24 @@ class Gate:
         returns = bool(step @ claim < -RETURNS * claim @ claim)
         return returns and self._step(s, stamp_ns, now) == STEP
 
-    def _take_back(self, s: State, stamp_ns: int, now: Innovated) -> Innovated:
+    def _take_back(self, s: State, stamp_ns: int, now: Innovated, R: Array) -> Innovated:
         """The measurement without the doubt, if the sensor takes back what it is doubted for."""
         g = self._memory(s)
-        if stamp_ns >= g["doubt_until_ns"]:
+        if not _is_doubted(g, stamp_ns):
             return now
-        sure = self._again(s, now, now.R - g["doubt"] ** 2 * np.eye(len(now.R)))
+        sure = self._again(s, now, R)
         if not self._returns(s, stamp_ns, sure):
             return now
-        g["doubt_until_ns"] = NEVER
+        g["doubt_from_ns"] = NEVER
         return sure
+
+
+def _doubt(g: State, error: float, from_ns: int, lasts_ns: int) -> None:
+    g["doubt"], g["doubt_from_ns"], g["doubt_for"] = error, from_ns, lasts_ns
+
+
+def _is_doubted(g: State, stamp_ns: int) -> bool:
+    return bool(g["doubt_from_ns"] != NEVER and stamp_ns < g["doubt_from_ns"] + g["doubt_for"])
 
 
 def _trust_sensor(g: State) -> None:

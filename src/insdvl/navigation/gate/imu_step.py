@@ -1,8 +1,9 @@
 """A misfit that one bad sample of the IMU explains.
 
-A sample that leaves its neighbours is believed if the next one agrees with it (channels.py). If
-both were wrong, they have turned the state, or changed its velocity, about the axis of their
-channel. A measurement then tells by how much.
+A sample that leaves its neighbours is believed if the next one agrees with it, and left out if not
+(channels.py). Either may be wrong. Then it has turned the state, or changed its velocity, about the
+axis of its channel: by no more than the size of the step, for as long as it lasted. A measurement
+tells by how much.
 """
 
 import numpy as np
@@ -16,12 +17,6 @@ from insdvl.navigation.kalman import Innovated
 from insdvl.navigation.measurements.base import Vehicle
 from insdvl.navigation.process_noise import shown
 from insdvl.navigation.state import State
-
-#: The vehicle turns and moves between the sample and the measurement: the axis of the channel, and
-#: with it the innovation, is known to within this part.
-LOOSELY = 0.2
-#: Largest turn that one sigma takes for possible [rad].
-LARGEST_TURN = 1.0
 
 
 def explains(
@@ -40,17 +35,25 @@ def explains(
     Returns:
         Whether the covariance is larger now; the NIS by it is within the limit.
     """
-    stepped = np.flatnonzero(s["channels"]["step_ns"] > since_ns)
+    channels = s["channels"]
+    stepped = np.flatnonzero(channels["step_ns"] > since_ns)
     if not stepped.size:
         return False
+    # The vehicle turns and moves between the sample and the measurement. With this part of the
+    # impulse in all directions, twice, one across the axis still has 1.25 times the limit.
+    loosely = 1.0 / np.sqrt(2.5 * limit)
     n, C_n_i = now.H.shape[1], s["nav"]["C_n_b"] @ vehicle.C_b_i
     size = float(np.linalg.norm(now.innovation))
-    columns = [LOOSELY * size * np.eye(n)[:, VELOCITY]]
+    columns = []
     for i in stepped:
         impulses, axis = _impulses(s, vehicle, int(i), stamp_ns, n), C_n_i[:, i % 3]
         seen = float(np.linalg.norm(now.H @ impulses @ axis))
-        amount = size / seen if size < LARGEST_TURN * seen else LARGEST_TURN
-        columns.append(amount * impulses @ np.column_stack([axis, LOOSELY * np.eye(3)]))
+        lasted_ns = int(channels["step_ns"][i]) - int(channels["step_from_ns"][i])
+        largest = float(channels["step"][i]) * lasted_ns / NS
+        amount = size / seen if size < largest * seen else largest
+        columns.append(amount * impulses @ np.column_stack([axis, loosely * np.eye(3)]))
+        if i >= 3:
+            columns.append(amount * seen * loosely * np.eye(n)[:, VELOCITY])
     A = np.concatenate(columns, axis=1)
     R = now.R + (now.H @ A) @ (now.H @ A).T
     if kalman.innovate(shown.covariance(s, n), now.innovation, now.H, R).nis > limit:
@@ -71,7 +74,7 @@ def _impulses(s: State, vehicle: Vehicle, i: int, stamp_ns: int, n: int) -> Arra
         return A
     A[ATTITUDE] = np.eye(3)
     seconds = (stamp_ns - int(s["channels"]["step_ns"][i])) / NS
-    A[VELOCITY] = seconds * cross_matrix(vehicle.workspace[0]["g_n"])
+    A[VELOCITY] = seconds * shown.gravity_matrix(s["nav"])
     if vehicle.invariant:
         A[VELOCITY] += cross_matrix(s["nav"]["v_n"])
     A[POSITION] = coordinates.turns_position(s, invariant=vehicle.invariant)

@@ -11,6 +11,7 @@ Derivation: docs/explanation/filter.md.
 import numpy as np
 
 from insdvl.arrays import Array
+from insdvl.navigation.channels import FEWEST_CHANGES
 from insdvl.navigation.error_state import (
     ACCELEROMETER_BIAS,
     ATTITUDE,
@@ -18,6 +19,7 @@ from insdvl.navigation.error_state import (
     VELOCITY,
 )
 from insdvl.navigation.events import NS
+from insdvl.navigation.geometry.earth import gravity
 from insdvl.navigation.geometry.rotation import cross_matrix
 from insdvl.navigation.measurements.base import Vehicle
 from insdvl.navigation.state import NEVER, State
@@ -29,9 +31,17 @@ CLEARLY_MORE = 1.5
 REACHED = slice(VELOCITY.start, GYROSCOPE_BIAS.stop)
 
 
+def gravity_matrix(nav: State) -> Array:
+    """[g x] (3, 3) at the place of a state: what a turn makes of the acceleration [m/s^2]."""
+    lat, _, h = nav["llh"]
+    return cross_matrix(np.array([0.0, 0.0, gravity(lat, h)]))
+
+
 def untold(s: State, vehicle: Vehicle) -> Array:
     """Densities (6,) of the noise of the samples that is not told, in IMU axes, f then w."""
     c, C = vehicle.constants[0], vehicle.C_b_i
+    if s["channels"]["changes"] < FEWEST_CHANGES:
+        return np.zeros(6)
     shown = s["channels"]["change"] / (2.0 * c["rate"])
     told = c["density"] * np.concatenate(
         [np.diag(C.T @ s["noise"][name] @ C) for name in ("Q_f", "Q_w")]
@@ -55,7 +65,7 @@ def advance(s: State, vehicle: Vehicle, stamp_ns: int) -> None:
         return
     C_n_i = nav["C_n_b"] @ vehicle.C_b_i
     S_f, S_w = (C_n_i * density[part] @ C_n_i.T for part in (slice(0, 3), slice(3, 6)))
-    g_x = cross_matrix(vehicle.workspace[0]["g_n"])
+    g_x = gravity_matrix(nav)
     M = cross_matrix(nav["v_n"]) if vehicle.invariant else np.zeros((3, 3))
     Phi, Q, C = np.eye(12), np.zeros((12, 12)), nav["C_n_b"]
     Phi[VELOCITY, ATTITUDE] = g_x * seconds
@@ -75,7 +85,7 @@ def drift(s: State, vehicle: Vehicle, seconds: float) -> Array:
     """Covariance (3, 3) of what the untold noise adds to a drift of the velocity, NED."""
     density, C_n_i = untold(s, vehicle), s["nav"]["C_n_b"] @ vehicle.C_b_i
     S_f, S_w = (C_n_i * density[part] @ C_n_i.T for part in (slice(0, 3), slice(3, 6)))
-    g_x = cross_matrix(vehicle.workspace[0]["g_n"])
+    g_x = gravity_matrix(s["nav"])
     tilt = s["noise"]["excess"][ATTITUDE, ATTITUDE] * seconds**2 + S_w * seconds**3 / 3.0
     return S_f * seconds + g_x @ tilt @ g_x.T
 
