@@ -1,7 +1,7 @@
 """Kalman algebra for a measurement of m rows: innovation covariance, gain, NIS, Joseph form.
 
 What a measurement is, where it comes from and whether it is believed is decided elsewhere
-(measurements/, gate.py); here are only the equations, the same for every sensor.
+(measurements/, gate/); here are only the equations, the same for every sensor.
 """
 
 import math

@@ -176,7 +176,7 @@ class Gate:
     def _with_drift(
         self, s: State, stamp_ns: int, now: Innovated, fair: Innovated, limit: float
     ) -> Innovated:
-        """A misfit that is no fault of the sensor: with a noise that brings its NIS to the limit.
+        """A misfit that is no fault of the sensor: with a gain that is smaller by NIS over limit.
 
         A second one in a row far beyond the limit tells that the filter has drifted: its covariance
         is inflated.
@@ -184,7 +184,7 @@ class Gate:
         g = self._memory(s)
         again, g["drifts"] = bool(g["drifts"]), fair.nis > FAULT * limit
         if not (again and g["drifts"]):
-            return self._again(s, now, now.R + (fair.nis / limit - 1.0) * fair.S)
+            return self._again(s, now, now.R + (fair.nis / limit - 1.0) * now.S)
         seconds = (stamp_ns - int(g["accepted_ns"])) / NS
         self._model.inflate(s, now.innovation, seconds)
         s["counters"]["inflations"] += 1
@@ -275,20 +275,23 @@ class Gate:
     def _give_in(self, s: State, stamp_ns: int, now: Innovated) -> None:
         """Doubt the state by as much as the innovation, and the sensor as well if it has jumped.
 
-        Then its error is as likely as the filter's. If it was trusted before, the error lasts: the
-        measurements of the doubt together weigh as one. If the filter gave in a moment ago, the
-        sensor alternates: each weighs as one, and the state is between them.
+        Then its error is as likely as the filter's. If the filter was trusted, that error would
+        last: all measurements of the doubt weigh as a single one. If the filter was not, and gave
+        in a moment ago, the sensor alternates: the state stays between its values. If it was
+        trusted and gave in a moment ago, what it has believed since may have turned it: its tilt is
+        doubted instead of the sensor.
         """
         g, m = self._memory(s), self._model.rows
-        known = not g["steps"] and stamp_ns > g["accepted_ns"] > NEVER
-        seconds = (stamp_ns - int(g["accepted_ns"])) / NS if known else None
-        self._model.inflate(s, now.innovation, seconds)
-        claim = g["claim"][:m]
+        claim, trusted = g["claim"][:m], g["patient_for"] > LEAST_PATIENCE_NS
         back = claim @ now.innovation < -RETURNS * claim @ claim
         again = not back and stamp_ns - int(g["gave_in_ns"]) <= 2 * self._patience_ns
-        if again or (g["steps"] and not back):
+        contested = not back and (not trusted if again else bool(g["steps"]))
+        known = stamp_ns > g["accepted_ns"] > NEVER and (not g["steps"] or (again and trusted))
+        seconds = (stamp_ns - int(g["accepted_ns"])) / NS if known else None
+        self._model.inflate(s, now.innovation, seconds)
+        if contested:
             count = 1.0
-            if g["patient_for"] > LEAST_PATIENCE_NS and not again:
+            if trusted:
                 count = max(self._patience_ns / (stamp_ns - int(g["judged_ns"])), 1.0)
             error = np.sqrt(count) * np.linalg.norm(now.innovation)
             _doubt(g, error, stamp_ns, self._patience_ns)
