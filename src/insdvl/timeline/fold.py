@@ -27,7 +27,7 @@ from insdvl.navigation.events import (
 )
 from insdvl.navigation.filter import Filter
 from insdvl.navigation.parameters import FilterParameters
-from insdvl.navigation.start.zero_velocity import WINDOW_NS
+from insdvl.navigation.start import zero_velocity
 from insdvl.navigation.state import COUNTERS, NEVER, State
 from insdvl.timeline.entries import Entries
 from insdvl.timeline.jumps import Run, Suspects, TimeJump
@@ -67,7 +67,9 @@ class Fold:
         # A measurement, or a Q, may be ahead of the samples by so much.
         self._ahead_ns = max(self._jump_limit_ns, round(MAX_QUEUE / parameters.imu.rate * NS))
         self._near_ns = max(self._max_delay_ns, self._max_gap_ns)  # samples of one time
-        self._window_ns = max(WINDOW_NS, *(m.turn_window_ns for m in self.filter.models.values()))
+        self._rest_ns = zero_velocity.window_ns(parameters.imu.rate)
+        turn_ns = (model.turn_window_ns for model in self.filter.models.values())
+        self._window_ns = max(self._rest_ns, *turn_ns)
         self._hear: dict[int, Callable[[Records, Any], None]] = {
             Origin.kind: self.filter.locate,
             ProcessNoise.kind: self.filter.receive_process_noise,
@@ -376,10 +378,9 @@ class Fold:
         entry, samples = self._entries.ordered[e], self._samples
         event = entry.event
         assert isinstance(event, Measurement)
-        times = k, event.stamp_ns, self.filter.turn_window_ns(event)
-        variance = self.filter.sample_variance(state)
-        rate, share = samples.turn_rate(state, *times, variance)
-        shown = samples.window(event.stamp_ns, WINDOW_NS, k)
+        at, turn_ns = (state, k, event.stamp_ns), self.filter.turn_window_ns(event)
+        rate, share = samples.turn_rate(*at, turn_ns, self.filter.sample_variance(state))
+        shown = samples.window(*at, self._rest_ns)
         entry.report = self.filter.update(state, event, rate, share, shown)
 
     def _apply_initial(self, state: Records, event: Initial, e: int, k: int) -> None:

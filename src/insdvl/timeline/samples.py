@@ -148,9 +148,7 @@ class Samples:
             variance: (3,) of one sample [(rad/s)^2].
         """
         part = slice(max(self.index_of(at_ns - window_ns) - 1, 0), k + 1)
-        verdicts = self.states["channels"]["verdict"][part, 3:].copy()
-        verdicts[-1] = state[0]["channels"]["verdict"][3:]
-        seen = (verdicts == GOOD).all(axis=1)
+        seen = (self._verdicts(state, part)[:, 3:] == GOOD).all(axis=1)
         rate, share = np.empty(3), np.empty(3)
         at = k - part.start, at_ns, window_ns
         rate_at(self.stamps_ns[part], self.w_ib_b[part], seen, *at, variance, rate, share)
@@ -160,10 +158,20 @@ class Samples:
         """The states from sample k on are not valid any more."""
         self.stale = min(self.stale, k)
 
-    def window(self, end_ns: int, length_ns: int, last: int) -> Array:
-        """(N, 6) of a time that ends at a stamp, f then w, base_link axes; `last` is the last."""
-        first = self.index_of(end_ns - length_ns)
-        return np.hstack([self.f_b[first : last + 1], self.w_ib_b[first : last + 1]])
+    def window(self, state: Records, k: int, at_ns: int, length_ns: int) -> Array:
+        """Samples (N, 6) that are believed of a time that ends at a stamp, see `turn_rate`.
+
+        Specific force [m/s^2], then angular rate [rad/s], base_link axes.
+        """
+        part = slice(self.index_of(at_ns - length_ns), k + 1)
+        believed = (self._verdicts(state, part) == GOOD).all(axis=1)
+        return np.hstack([self.f_b[part], self.w_ib_b[part]])[believed]
+
+    def _verdicts(self, state: Records, part: slice) -> NDArray[np.int64]:
+        """(N, 6) on the channels of samples; the state inside the last interval has the last."""
+        verdicts = self.states["channels"]["verdict"][part].copy()
+        verdicts[-1] = state[0]["channels"]["verdict"]
+        return verdicts
 
     def insert(self, sample: Imu) -> bool:
         """Insert a sample in the order of the stamps; there must be room.

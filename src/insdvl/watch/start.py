@@ -158,14 +158,14 @@ def large_biases(filter_: Filter, s: State) -> list[str]:
         off = np.abs(to_imu @ estimate - np.array(told))
         sigma = math.sqrt(std**2 + walk * seconds)
         axis = int(np.argmax(off))
-        if off[axis] > SIGMAS * sigma:
+        if sigma and off[axis] > SIGMAS * sigma:  # with 0 it is as told, but for rounding
             found.append(_large(name, unit, axis, off, sigma))
     return found
 
 
 def _large(name: str, unit: str, axis: int, off: Array, sigma: float) -> str:
-    times = f"{off[axis] / sigma:.1f} times" if sigma else "more than"
     return (
-        f"{name} bias {'xyz'[axis]} is {off[axis]:.3g} {unit} from initial.{name}_bias, {times} "
-        f"its sigma: set initial.{name}_bias_std to that of the IMU, check its unit and mount"
+        f"{name} bias {'xyz'[axis]} is {off[axis]:.3g} {unit} from initial.{name}_bias, "
+        f"{off[axis] / sigma:.1f} times its sigma: set initial.{name}_bias_std to that "
+        "of the IMU, check its unit and mount"
     )

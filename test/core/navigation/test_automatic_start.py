@@ -10,11 +10,12 @@ from insdvl.arrays import Array
 from insdvl.navigation.coordinates import body_velocity_jacobian
 from insdvl.navigation.error_state import ATTITUDE, GYROSCOPE_BIAS, VELOCITY
 from insdvl.navigation.events import NS, Event, Imu, Initial, Orientation
+from insdvl.navigation.filter import Filter
 from insdvl.navigation.geometry.earth import EARTH_RATE, gravity
 from insdvl.navigation.geometry.frames import rotation_from_rpy
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
-from insdvl.navigation.start import automatic
+from insdvl.navigation.start import automatic, gyrocompass
 from insdvl.navigation.state import State
 from insdvl.parameters.declaration import ParameterError, build
 from insdvl.simulation.dvl import DvlModel
@@ -354,6 +355,96 @@ def test_a_heading_with_another_mode_is_refused() -> None:
         build(FilterParameters, {"initial.mode": "levelling", "initial.heading": "imu"})
 
 
+# ------------------------------------------------------------------ interruptions
+
+
+@pytest.mark.parametrize("interruption", ["gap", "force"])
+def test_what_interrupts_the_wait_for_a_velocity_starts_gyrocompassing_again(
+    interruption: str,
+) -> None:
+    """The heading is found after 12 s; at 14 s samples are missing or it is shaken; DVL at 16 s."""
+    stamps_ns, f_b, w_ib_b, _ = at_rest(FOG, 29.0)
+    events = pings(stamps_ns[1600:], (0.0,) * 3)
+    if interruption == "force":
+        f_b[1430:1470] *= 1.3
+    else:
+        stamps_ns, f_b, w_ib_b = (
+            np.delete(x, range(1400, 1430), 0) for x in (stamps_ns, f_b, w_ib_b)
+        )
+    parameters = settings(FOG, **{"initial.gyrocompass_time": 12.0})
+    result = fold_arrays(parameters, stamps_ns, f_b, w_ib_b, events)
+    s = first_of(result)
+    assert np.isfinite(s["nav"]["P"]).all() and np.isfinite(s["nav"]["C_n_b"]).all()
+    assert s["start"]["heading_from"] == automatic.GYROCOMPASS
+    assert (s["nav"]["time_ns"] - NS) / NS > 26.0
+    psi = error_of(s, rotation_from_rpy(np.array(RPY)))
+    assert abs(psi[2]) < 3.0 * sigmas(s, ATTITUDE)[2] < np.radians(3.0)
+
+
+def test_a_beginning_that_is_not_finite_is_refused() -> None:
+    """A rest without samples, of which the record says that it has told the heading."""
+    stamps_ns, f_b, w_ib_b, _ = at_rest(FOG, 1.02)
+    filter_ = Filter(settings(FOG))
+    state = filter_.empty()
+    state[0]["start"]["compass"] = gyrocompass.FOUND
+    filter_.start.hear_velocity(state[0], int(stamps_ns[0]), np.zeros(3), np.eye(3) * 1e-4)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for ns, f, w in zip(stamps_ns, f_b, w_ib_b, strict=True):
+            filter_.await_start(state, Imu(int(ns), f, w), np.concatenate([f, w]))
+    assert not state[0]["nav"]["initialised"]
+    assert state[0]["counters"]["not_level"] == 1
+    assert state[0]["start"]["compass"] == gyrocompass.UNDECIDED
+
+
+def test_a_sample_without_data_does_not_spoil_gyrocompassing() -> None:
+    stamps_ns, f_b, w_ib_b, _ = at_rest(FOG, 14.0)
+    f_b[600], w_ib_b[600] = 0.0, 0.0
+    parameters = settings(FOG, **{"initial.gyrocompass_time": 12.0})
+    s = first_of(fold_arrays(parameters, stamps_ns, f_b, w_ib_b, pings(stamps_ns, (0.0,) * 3)))
+    assert s["start"]["heading_from"] == automatic.GYROCOMPASS
+
+
+def test_a_time_without_data_is_a_gap_to_levelling() -> None:
+    stamps_ns, f_b, w_ib_b, _ = at_rest(MEMS, 3.0)
+    f_b[80:130], w_ib_b[80:130] = 0.0, 0.0
+    result = fold_arrays(settings(MEMS), stamps_ns, f_b, w_ib_b, pings(stamps_ns, (0.0,) * 3))
+    s = first_of(result)
+    assert s["nav"]["time_ns"] == stamps_ns[230]
+    assert s["counters"]["not_level"] == 1
+
+
+def test_a_glitch_does_not_turn_the_told_heading() -> None:
+    """20 rad/s in one sample of 10 ms would be 0.2 rad."""
+    stamps_ns, f_b, w_ib_b, _ = at_rest(FOG, 1.5)
+    w_ib_b[70, 2] = 20.0
+    events = pings(stamps_ns, (0.0,) * 3) + orientations(stamps_ns[:1], 0.01)
+    s = first_of(fold_arrays(settings(FOG), stamps_ns, f_b, w_ib_b, events))
+    assert s["start"]["heading_from"] == automatic.IMU and s["start"]["at_rest"]
+    assert abs(error_of(s, rotation_from_rpy(np.array(RPY)))[2]) < 0.01
+
+
+@pytest.mark.parametrize("speed", [0.0, 3.0])
+def test_a_dvl_without_one_component_starts_the_filter(speed: float) -> None:
+    """The second axis of a DVL that is turned by 0.5 rad has failed: its velocity is unknown."""
+    stamps_ns, f_b, w_ib_b, _ = at_rest(MEMS, 1.5)
+    C_b_d = rotation_from_rpy(np.array([0.0, 0.0, 0.5]))
+    events: list[Event] = [
+        Dvl(event.stamp_ns, event.v_d * [1.0, 0.0, 1.0], measured=(True, False, True))
+        for event in pings(stamps_ns, C_b_d.T @ (speed * C_b_d[:, 0]))
+        if isinstance(event, Dvl)
+    ]
+    parameters = settings(MEMS, **{"dvl.mount": (0.0, 0.0, 0.5)})
+    s = first_of(fold_arrays(parameters, stamps_ns, f_b, w_ib_b, events))
+    assert s["nav"]["time_ns"] == stamps_ns[100]
+    assert s["start"]["at_rest"] == (speed == 0.0)
+    C_d_n, nav = C_b_d.T @ s["nav"]["C_n_b"].T, s["nav"]
+    H = body_velocity_jacobian(nav["C_n_b"], nav["v_n"], invariant=True, n=15)
+    sigma = np.sqrt(np.diag(C_b_d.T @ H @ nav["P"][:15, :15] @ H.T @ C_b_d))
+    assert sigma[1] == pytest.approx(automatic.UNKNOWN_SPEED, rel=0.02)
+    assert sigma[[0, 2]].max() < 1.0
+    assert C_d_n @ nav["v_n"] == pytest.approx([speed, 0.0, 0.0], abs=0.1)
+
+
 # ------------------------------------------------------------------ a vertical vehicle
 
 
@@ -457,4 +548,19 @@ def test_a_bias_beyond_four_of_its_initial_sigma_is_a_finding() -> None:
     values["initial.accelerometer_bias_std"] = 0.2
     values["initial.gyroscope_bias_std"] = 2e-3
     result = fold_arrays(settings(TACTICAL, **values), stamps_ns, f_b, w_ib_b, events)
+    assert not large_biases(result.filter, result.states[-1])
+
+
+def test_a_bias_that_is_told_exactly_is_no_finding() -> None:
+    """A sigma of zero: the estimate differs from what was told by rounding alone."""
+    stamps_ns, f_b, w_ib_b, _ = at_rest(MEMS, 1.5)
+    values: dict[str, object] = {
+        "initial.mode": "parameters",
+        "imu.mount": (0.1, 0.2, 0.3),
+        "initial.accelerometer_bias": (0.01, 0.02, 0.03),
+        "initial.accelerometer_bias_std": 0.0,
+        "initial.gyroscope_bias": (1e-4, 2e-4, 3e-4),
+        "initial.gyroscope_bias_std": 0.0,
+    }
+    result = fold_arrays(settings(MEMS, **values), stamps_ns, f_b, w_ib_b, [])
     assert not large_biases(result.filter, result.states[-1])

@@ -1,5 +1,7 @@
 """Exact zeros of a DVL: used at rest, refused after a lost lock."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from insdvl.navigation.geometry.earth import EARTH_RATE, gravity
 from insdvl.navigation.geometry.frames import rotation_from_rpy
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
+from insdvl.navigation.start.zero_velocity import window_ns
 from insdvl.parameters.declaration import build
 from insdvl.simulation.grades import GRADES
 from insdvl.timeline.output import FoldResult
@@ -28,25 +31,31 @@ def flown(
     velocity_std: float = 0.02,
     lock_until: int = 0,
     vibration: float = 0.0,
+    rate: int = RATE,
+    without_data: Sequence[int] = (),
 ) -> FoldResult:
-    """Level and straight at a speed; the DVL shows zeros, but before a time [s] the speed."""
+    """Level and straight at a speed; the DVL shows zeros, but before a time [s] the speed.
+
+    Samples of these indices have no data, zeros.
+    """
     rng = np.random.default_rng(SEED)
-    n = seconds * RATE
+    n = seconds * rate
     bias = np.repeat([MEMS.accelerometer_bias, MEMS.gyroscope_bias], 3) * rng.standard_normal(6)
-    error = bias + rng.standard_normal((n, 6)) * np.sqrt(MEMS.variances(float(RATE)))
+    error = bias + rng.standard_normal((n, 6)) * np.sqrt(MEMS.variances(float(rate)))
     error[:, 0] += vibration * rng.standard_normal(n)
-    stamps_ns = NS + np.arange(n) * (NS // RATE)
+    stamps_ns = NS + np.arange(n) * (NS // rate)
     v_b = np.array([speed, 0.0, 0.0])
     events: list[Event] = [Initial(int(stamps_ns[0]), C_N_B, np.zeros(3), v_b, "body")]
     for second in range(1, seconds):
         v_d = v_b + 0.01 * rng.standard_normal(3) if second < lock_until else np.zeros(3)
         events.append(Dvl(NS + second * NS, v_d))
-    variances = MEMS.variances(float(RATE)).tolist()
+    variances = MEMS.variances(float(rate)).tolist()
     parameters = build(
         FilterParameters,
         {
             "frame_convention": "ned",
-            "imu.rate": float(RATE),
+            "imu.rate": float(rate),
+            "imu.max_gap": max(0.1, 2.0 / rate),
             "dvl.noise_std": (0.01,) * 3,
             "initial.mode": "set_odometry",
             "initial.velocity_std": velocity_std,
@@ -56,6 +65,8 @@ def flown(
         },
     )
     f_b, w_ib_b = -C_N_B.T @ G_N + error[:, :3], C_N_B.T @ W_IE_N + error[:, 3:]
+    at = list(without_data)
+    f_b[at], w_ib_b[at] = 0.0, 0.0
     return fold_arrays(parameters, stamps_ns, f_b, w_ib_b, events)
 
 
@@ -94,3 +105,20 @@ def test_an_imu_that_shows_motion_does_not_take_zeros(vibration: float, taken: b
     found = reasons(flown(5, vibration=vibration))
     assert (set(found) == {""}) is taken
     assert (set(found) == {"no_lock"}) is not taken
+
+
+@pytest.mark.parametrize("rate", [10, 15, 22])
+def test_a_slow_imu_shows_rest_as_well(rate: int) -> None:
+    """Each half of the window has five samples also where 0.5 s have fewer than ten."""
+    assert set(reasons(flown(15, rate=rate, lock_until=5))) == {""}
+
+
+def test_a_sample_without_data_does_not_hide_a_rest() -> None:
+    """One of zeros 0.2 s before each ping."""
+    without_data = [second * RATE - RATE // 5 for second in range(1, 10)]
+    assert set(reasons(flown(10, without_data=without_data))) == {""}
+
+
+@pytest.mark.parametrize(("rate", "seconds"), [(100.0, 0.5), (24.0, 0.5), (10.0, 1.2), (1.0, 3.0)])
+def test_the_window_has_twelve_samples_within_its_bounds(rate: float, seconds: float) -> None:
+    assert window_ns(rate) == round(seconds * NS)

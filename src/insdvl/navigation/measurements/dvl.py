@@ -40,6 +40,7 @@ from insdvl.navigation.measurements.base import (
     Turn,
     Vehicle,
 )
+from insdvl.navigation.start.automatic import UNKNOWN_SPEED
 from insdvl.navigation.state import State
 from insdvl.navigation.strapdown import turn_rate
 from insdvl.parameters.declaration import lever_arm, mount, parameter, time_offset
@@ -245,11 +246,17 @@ class DvlModel(SensorModel[Dvl]):
         return not event.v_d.any()
 
     def velocity(self, event: Dvl, turn: Turn) -> tuple[Array, Array] | None:
-        """v_b = C_b_d v_d - w x l with the arm l from base_link; None without one component."""
-        if not all(event.measured):
+        """v_b = C_b_d v_d - w x l with the arm l from base_link.
+
+        A component that was not measured is 0, with `UNKNOWN_SPEED` as its sigma; None without any.
+        """
+        if not any(event.measured):
             return None
+        missing = ~np.array(event.measured)
+        R = np.where(missing[:, None] | missing, 0.0, self.noise(event))
+        R[missing, missing] = UNKNOWN_SPEED**2
         l_x = cross_matrix(self._l_b + self._vehicle.l_b_imu)
-        P = self._C_b_d @ self.noise(event) @ self._C_d_b + l_x @ turn.covariance @ l_x.T
+        P = self._C_b_d @ R @ self._C_d_b + l_x @ turn.covariance @ l_x.T
         return self._C_b_d @ event.v_d + l_x @ turn.w_ib_b, (P + P.T) / 2
 
     def linearise(self, state: Records, event: Dvl, turn: Turn) -> Linearised:

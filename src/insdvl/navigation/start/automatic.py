@@ -128,7 +128,10 @@ class Automatic:
         start["kept_ns"], start["kept_speed"] = initial.stamp_ns, np.hypot.reduce(initial.v)
 
     def carry(self, s: State, sample: Imu) -> None:
-        """Turn the told heading on by a sample; in a gap it becomes less certain instead."""
+        """Turn the told heading on by a sample; in a gap it becomes less certain instead.
+
+        The turn is the one that is believed of the sample.
+        """
         start, c = s["start"], self._constants
         if start["told_ns"] == NEVER or sample.stamp_ns <= start["told_ns"]:
             return
@@ -136,7 +139,8 @@ class Automatic:
         if seconds * NS > c["gap_ns"]:
             start["told_std"] = np.hypot(start["told_std"], c["gap_w"] * seconds)
         else:
-            start["told_C"] = start["told_C"] @ turned((sample.w_ib_b - self._bias[3:]) * seconds)
+            w_ib_b = sample.w_ib_b + c["C_b_i"] @ s["channels"]["amends"][3:]
+            start["told_C"] = start["told_C"] @ turned((w_ib_b - self._bias[3:]) * seconds)
         start["told_std"] += (self._parameters.gyroscope_bias_std + EARTH_RATE) * seconds
         start["told_ns"] = sample.stamp_ns
 
@@ -308,5 +312,13 @@ def _upright(C_n_b: Array, f_b: Array) -> Array:
 
 
 def _times_of_zero(v: Array, P: Array) -> float:
-    """How many times larger than chance a velocity is if the true one is zero."""
-    return float(v @ np.linalg.solve(P, v)) / rest.chi_square_limit(3)
+    """How many times larger than chance a velocity is if the true one is zero.
+
+    Directions that were not measured, of `UNKNOWN_SPEED`, say nothing of it.
+    """
+    variances, axes = np.linalg.eigh(P)
+    measured = variances < UNKNOWN_SPEED**2 / 2.0
+    if not measured.any():
+        return 0.0
+    squares = (axes.T @ v)[measured] ** 2 / variances[measured]
+    return float(squares.sum()) / rest.chi_square_limit(int(measured.sum()))

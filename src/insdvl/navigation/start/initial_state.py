@@ -132,6 +132,9 @@ class Start:
         """See `initialise`; an attitude that was found takes the place of the initial one."""
         s, vehicle, parameters = state[0], self._vehicle, self._parameters
         nav, imu = s["nav"], s["channels"]
+        if found is not None and not found.is_finite:
+            self._restart_levelling(s)
+            return False
         if np.isnan(nav["lat_0"]):
             s["counters"]["without_origin"] += 1
             return False
@@ -263,18 +266,24 @@ class Start:
     def _level(self, state: Records, sample: Imu) -> bool:
         """Collect the samples of a block at rest, f_b = -C_b_n g_n, then start from its direction.
 
-        It restarts behind a gap, and where the mean differs from gravity. Gyrocompassing goes on
+        It restarts behind a gap, and where the mean differs from gravity. Samples that are not
+        believed are left out; without data for longer than a gap it is one. Gyrocompassing goes on
         over many blocks.
         """
         s, vehicle, parameters = state[0], self._vehicle, self._parameters
         start, nav, is_automatic = s["start"], s["nav"], self._parameters.mode == "auto"
         if is_automatic:
             self._automatic.carry(s, sample)
-        since_ns = sample.stamp_ns - s["channels"]["imu_ns"]
+        imu = s["channels"]
+        since_ns = sample.stamp_ns - imu["imu_ns"]
+        if imu["verdict"][0] == channels.NO_DATA:
+            since_ns = max(since_ns, sample.stamp_ns - imu["equal_ns"][0])
         if start["level_count"] + start["rest_count"] and since_ns > vehicle.constants[0]["gap_ns"]:
             if start["rest_count"] and not is_automatic:
                 start["compass"] = gyrocompass.GAP
             self._restart_levelling(s)
+        if (imu["verdict"] != channels.GOOD).any():
+            return False
         if start["level_count"] == 0:
             start["level_ns"] = sample.stamp_ns
         start["level_f"] += sample.f_b
@@ -329,6 +338,8 @@ class Start:
         start = s["start"]
         start["rest_sum"], start["rest_nis"] = 0.0, 0.0
         start["rest_count"], start["rest_blocks"] = 0, 0
+        if start["compass"] == gyrocompass.FOUND:  # by the rest that is forgotten here
+            start["compass"], start["compass_number"] = gyrocompass.UNDECIDED, 0.0
         s["counters"]["not_level"] += 1
 
     @staticmethod

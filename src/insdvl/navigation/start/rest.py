@@ -133,6 +133,11 @@ class Attitude:
     b_w: Array
     P: Array
 
+    @property
+    def is_finite(self) -> bool:
+        """Whether all numbers are finite."""
+        return all(bool(np.isfinite(x).all()) for x in (self.C_n_b, self.b_w, self.P))
+
 
 def with_gyroscope_bias(
     found: Attitude, w_ib_b: Array, count: float, noise: Noise, lat: float

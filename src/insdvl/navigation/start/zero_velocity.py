@@ -15,11 +15,17 @@ from insdvl.navigation.start import rest
 from insdvl.navigation.start.gyrocompass import noise_of
 from insdvl.navigation.state import State
 
-#: The samples of this time [ns] before the measurement have to show a vehicle at rest.
-WINDOW_NS = 500_000_000
+#: Samples of a time before the measurement have to show a vehicle at rest: of at least the first
+#: [s], at most the second, and so many of them that each half has enough for the tests.
+SHORTEST, LONGEST, SAMPLES = 0.5, 3.0, 12
 #: Each component of the filter's own velocity, and one sigma of it, is below this [m/s], and the
 #: component within so many sigma of zero.
 KNOWN, SIGMAS = 0.1, 3.0
+
+
+def window_ns(rate: float) -> int:
+    """Length of the time before a measurement that is looked at [ns], of an IMU's rate [Hz]."""
+    return round(min(max(SHORTEST, SAMPLES / rate), LONGEST) * NS)
 
 
 def confirmed(s: State, vehicle: Vehicle, linearised: Linearised, samples: Array) -> bool:
@@ -29,7 +35,8 @@ def confirmed(s: State, vehicle: Vehicle, linearised: Linearised, samples: Array
         s: State at the measurement.
         vehicle: That carries the sensor.
         linearised: The measurement, z = 0, so that its innovation is minus the own velocity.
-        samples: (N, 6) of the IMU over `WINDOW_NS`, f then w, base_link axes.
+        samples: (N, 6) of the IMU over `window_ns`, f then w, base_link axes, without those that
+            are not believed.
     """
     nav, n = s["nav"], vehicle.n
     P, H = nav["P"][:n, :n], linearised.H
@@ -37,7 +44,8 @@ def confirmed(s: State, vehicle: Vehicle, linearised: Linearised, samples: Array
     largest = np.minimum(SIGMAS * sigma, KNOWN)
     if not ((sigma < KNOWN) & (np.abs(linearised.z_minus_h) <= largest)).all():
         return False
-    if len(samples) < vehicle.constants[0]["rate"] * WINDOW_NS / NS / 2.0:
+    rate = float(vehicle.constants[0]["rate"])
+    if len(samples) < rate * window_ns(rate) / NS / 2.0:
         return False
     std_f, std_w = (
         float(np.sqrt(np.diag(P[at, at]).max())) for at in (ACCELEROMETER_BIAS, GYROSCOPE_BIAS)
