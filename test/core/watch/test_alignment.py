@@ -152,7 +152,7 @@ def test_two_reversed_axes_are_named(mission: Mission) -> None:
     ("trajectory", "scenario"),
     [
         (AUV, "varying"),
-        (STATIC, "wide"),
+        pytest.param(STATIC, "wide", marks=pytest.mark.long),
         pytest.param(LOOP, "wide", marks=pytest.mark.long),
         *(pytest.param(AUV, name, marks=pytest.mark.long) for name in SCENARIOS),
         *(pytest.param(motion, "wide", marks=pytest.mark.long) for motion in BASELINE.values()),
