@@ -135,7 +135,7 @@ def _follows(s: State, c: Constants, sample_ns: int) -> bool:
 
 @kernel
 def _limit(s: State, c: Constants, i: int) -> float:
-    """Largest change of a channel that does not leave its neighbours: smaller ones do no harm."""
+    """Largest change of a channel that is no glitch; in one sample a gap's sigma does no harm."""
     return max(LEAVES * np.sqrt(s.channels.change[i]), c.gap_f if i < 3 else c.gap_w)
 
 

@@ -4,6 +4,7 @@ A `Filter` holds what never changes; all that does is in a state record (state.p
 methods advance in place. `timeline.fold.Fold` decides the order in which they are called.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -367,7 +368,7 @@ class Filter:
         event: Measurement,
         w_ib_b: Array,
         share: Array | float,
-        samples: Array = _NO_SAMPLES,
+        samples: Callable[[], Array] = lambda: _NO_SAMPLES,
     ) -> UpdateReport:
         """Correct the state, which must be at the measurement's stamp.
 
@@ -376,7 +377,8 @@ class Filter:
             event: The measurement.
             w_ib_b: (3,) angular rate at the stamp [rad/s], base_link axes.
             share: (3,) its variance, in units of that of one sample.
-            samples: (N, 6) just before it, f then w, base_link axes; none where unknown.
+            samples: Gives those just before it (N, 6), f then w, base_link axes; only a measurement
+                that claims a vehicle at rest asks for them.
         """
         s, model, gate = state[0], self.models[event.name], self._gates[event.name]
         memory, stamp_ns = s["gate"][event.name], event.stamp_ns
@@ -388,7 +390,7 @@ class Filter:
             reason = reason or "not_initialised"
         elif not reason or model.claims_rest(event):
             linearised = model.linearise(state, event, turn)
-            if reason and zero_velocity.confirmed(s, self.vehicle, linearised, samples):
+            if reason and zero_velocity.confirmed(s, self.vehicle, linearised, samples()):
                 reason = ""
         if reason or linearised is None:
             nan = np.full((model.rows, model.rows), np.nan)

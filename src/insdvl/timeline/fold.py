@@ -9,6 +9,7 @@ An event between two samples cuts the sample that spans it, so it waits for that
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -372,16 +373,15 @@ class Fold:
         elif isinstance(event, Initial):
             self._apply_initial(state, event, e, k)
         else:
-            self._apply_measurement(state, e, k)
+            assert isinstance(event, Measurement)
+            self._apply_measurement(state, event, e, k)
 
-    def _apply_measurement(self, state: Records, e: int, k: int) -> None:
+    def _apply_measurement(self, state: Records, event: Measurement, e: int, k: int) -> None:
         entry, samples = self._entries.ordered[e], self._samples
-        event = entry.event
-        assert isinstance(event, Measurement)
         at, turn_ns = (state, k, event.stamp_ns), self.filter.turn_window_ns(event)
-        rate, share = samples.turn_rate(*at, turn_ns, self.filter.sample_variance(state))
-        shown = samples.window(*at, self._rest_ns)
-        entry.report = self.filter.update(state, event, rate, share, shown)
+        turn = samples.turn_rate(*at, turn_ns, self.filter.sample_variance(state))
+        before = partial(samples.window, *at, self._rest_ns)
+        entry.report = self.filter.update(state, event, *turn, before)
 
     def _apply_initial(self, state: Records, event: Initial, e: int, k: int) -> None:
         stamp_ns = int(self._samples.stamps_ns[k])

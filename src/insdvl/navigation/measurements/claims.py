@@ -1,4 +1,4 @@
-"""What a measurement says of itself, before anything is predicted: the first that is asked.
+"""What a measurement says of itself; it is asked before anything is predicted.
 
 A sensor that repeats an earlier reading has none: it lost its lock, its driver has stopped, or two
 publishers send the same. But a sensor with a coarse resolution repeats itself by chance. The two

@@ -29,6 +29,7 @@ CLEARLY_MORE = 1.5
 #: The error states that the untold noise reaches: it drives velocity and attitude, and with wrong
 #: gains also the estimates of the biases.
 REACHED = slice(VELOCITY.start, GYROSCOPE_BIAS.stop)
+_N = REACHED.stop
 
 
 def gravity_matrix(nav: State) -> Array:
@@ -37,16 +38,19 @@ def gravity_matrix(nav: State) -> Array:
     return cross_matrix(np.array([0.0, 0.0, gravity(lat, h)]))
 
 
-def untold(s: State, vehicle: Vehicle) -> Array:
-    """Densities (6,) of the noise of the samples that is not told, in IMU axes, f then w."""
+def _untold_densities(s: State, vehicle: Vehicle) -> tuple[Array, Array]:
+    """Densities (3, 3) of the noise of both triads that is not told, NED."""
     c, C = vehicle.constants[0], vehicle.C_b_i
     if s["channels"]["changes"] < FEWEST_CHANGES:
-        return np.zeros(6)
-    shown = s["channels"]["change"] / (2.0 * c["rate"])
-    told = c["density"] * np.concatenate(
-        [np.diag(C.T @ s["noise"][name] @ C) for name in ("Q_f", "Q_w")]
-    )
-    return np.where(shown > CLEARLY_MORE * told, shown - told, 0.0)
+        return np.zeros((3, 3)), np.zeros((3, 3))
+    C_n_i, change = s["nav"]["C_n_b"] @ C, s["channels"]["change"]
+    densities = []
+    for name, part in (("Q_f", slice(0, 3)), ("Q_w", slice(3, 6))):
+        shown = change[part] / (2.0 * c["rate"])
+        told = c["density"] * np.diag(C.T @ s["noise"][name] @ C)
+        density = np.where(shown > CLEARLY_MORE * told, shown - told, 0.0)
+        densities.append(C_n_i * density @ C_n_i.T)
+    return densities[0], densities[1]
 
 
 def advance(s: State, vehicle: Vehicle, stamp_ns: int) -> None:
@@ -60,14 +64,12 @@ def advance(s: State, vehicle: Vehicle, stamp_ns: int) -> None:
     if since_ns == NEVER or stamp_ns <= since_ns:
         return
     seconds = (stamp_ns - since_ns) / NS
-    density = untold(s, vehicle)
-    if not (density.any() or noise["excess"].any()):
+    S_f, S_w = _untold_densities(s, vehicle)
+    if not (S_f.any() or S_w.any() or noise["excess"].any()):
         return
-    C_n_i = nav["C_n_b"] @ vehicle.C_b_i
-    S_f, S_w = (C_n_i * density[part] @ C_n_i.T for part in (slice(0, 3), slice(3, 6)))
     g_x = gravity_matrix(nav)
     M = cross_matrix(nav["v_n"]) if vehicle.invariant else np.zeros((3, 3))
-    Phi, Q, C = np.eye(12), np.zeros((12, 12)), nav["C_n_b"]
+    Phi, Q, C = np.eye(_N), np.zeros((_N, _N)), nav["C_n_b"]
     Phi[VELOCITY, ATTITUDE] = g_x * seconds
     Phi[VELOCITY, ACCELEROMETER_BIAS] = -C * seconds
     Phi[VELOCITY, GYROSCOPE_BIAS] = -(M * seconds + g_x * seconds**2 / 2.0) @ C
@@ -83,8 +85,7 @@ def advance(s: State, vehicle: Vehicle, stamp_ns: int) -> None:
 
 def drift(s: State, vehicle: Vehicle, seconds: float) -> Array:
     """Covariance (3, 3) of what the untold noise adds to a drift of the velocity, NED."""
-    density, C_n_i = untold(s, vehicle), s["nav"]["C_n_b"] @ vehicle.C_b_i
-    S_f, S_w = (C_n_i * density[part] @ C_n_i.T for part in (slice(0, 3), slice(3, 6)))
+    S_f, S_w = _untold_densities(s, vehicle)
     g_x = gravity_matrix(s["nav"])
     tilt = s["noise"]["excess"][ATTITUDE, ATTITUDE] * seconds**2 + S_w * seconds**3 / 3.0
     return S_f * seconds + g_x @ tilt @ g_x.T
@@ -92,7 +93,7 @@ def drift(s: State, vehicle: Vehicle, seconds: float) -> Array:
 
 def corrected(s: State, K: Array, H: Array) -> None:
     """A measurement has corrected the state with the gain K (n, m) and the Jacobian H (m, n)."""
-    B = np.eye(12) - K[REACHED] @ H[:, REACHED]
+    B = np.eye(_N) - K[REACHED] @ H[:, REACHED]
     s["noise"]["excess"] = B @ s["noise"]["excess"] @ B.T
 
 

@@ -321,4 +321,6 @@ def _times_of_zero(v: Array, P: Array) -> float:
     if not measured.any():
         return 0.0
     squares = (axes.T @ v)[measured] ** 2 / variances[measured]
-    return float(squares.sum()) / rest.chi_square_limit(int(measured.sum()))
+    return float(squares.sum()) / gyrocompass.chi_square_limit(
+        int(measured.sum()), rest.FALSE_ALARM
+    )

@@ -219,8 +219,8 @@ def see_block(s: State, mean: Array, count: int, noise: Noise, plan: Plan, stamp
         nis = float(misfit @ np.linalg.solve(R, misfit))
         start["rest_nis"] += nis
         start["rest_blocks"] += 1
-        of_all = start["rest_nis"] / _most(6 * int(start["rest_blocks"]))
-        times = max(nis / _most(6), of_all)
+        of_all = start["rest_nis"] / chi_square_limit(6 * int(start["rest_blocks"]), FALSE_ALARM)
+        times = max(nis / chi_square_limit(6, FALSE_ALARM), of_all)
         if not times <= 1.0:
             start["compass"], start["compass_number"] = MOVES, times
             return
@@ -229,7 +229,8 @@ def see_block(s: State, mean: Array, count: int, noise: Noise, plan: Plan, stamp
     if stamp_ns - start["rest_ns"] < plan.duration * NS:
         return
     rest = at_rest(s, noise)
-    times = earth_misfit(rest.C_n_b, rest.mean[3:], rest.P, lat, h) / _most(2)
+    misfit = earth_misfit(rest.C_n_b, rest.mean[3:], rest.P, lat, h)
+    times = misfit / chi_square_limit(2, FALSE_ALARM)
     if not times <= 1.0:
         start["compass"], start["compass_number"] = NOT_THE_EARTH, times
         return
@@ -249,6 +250,6 @@ def at_rest(s: State, noise: Noise) -> Rest:
 
 
 @cache
-def _most(dof: int) -> float:
-    """Chi-square that is exceeded with the probability `FALSE_ALARM`."""
-    return 2.0 * float(gammainccinv(dof / 2.0, FALSE_ALARM))
+def chi_square_limit(dof: int, tail: float) -> float:
+    """Chi-square of so many degrees of freedom that is exceeded with a probability."""
+    return 2.0 * float(gammainccinv(dof / 2.0, tail))

@@ -6,15 +6,13 @@ looks the same. Derivation: docs/explanation/start.md.
 """
 
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
-from scipy.special import gammainccinv
 
 from insdvl.arrays import Array
 from insdvl.navigation.geometry.earth import EARTH_RATE, earth_rate_n
 from insdvl.navigation.geometry.rotation import cross_matrix
-from insdvl.navigation.start.gyrocompass import Noise
+from insdvl.navigation.start.gyrocompass import Noise, chi_square_limit
 
 #: Probability that a vehicle at rest is taken for a moving one, by each of the four tests.
 FALSE_ALARM = 1e-3
@@ -108,11 +106,11 @@ def misfit_to_rest(window: Window, bias: Array, noise: Noise, g: float) -> Misfi
     along = force / size if size else np.zeros(3)
     of_size = float(along @ of_mean[:3, :3] @ along)
     motions = (
-        _square(step, R * (1.0 / early + 1.0 / late)) / chi_square_limit(6),
-        _square(rate, of_rate) / chi_square_limit(3),
-        (size - g) ** 2 / of_size / chi_square_limit(1) if of_size else np.inf,
+        _square(step, R * (1.0 / early + 1.0 / late)) / chi_square_limit(6, FALSE_ALARM),
+        _square(rate, of_rate) / chi_square_limit(3, FALSE_ALARM),
+        (size - g) ** 2 / of_size / chi_square_limit(1, FALSE_ALARM) if of_size else np.inf,
     )
-    return Misfit(sum(squares) / chi_square_limit(6 * (n - 1)), max(motions))
+    return Misfit(sum(squares) / chi_square_limit(6 * (n - 1), FALSE_ALARM), max(motions))
 
 
 def _square(x: Array, P: Array) -> float:
@@ -168,9 +166,3 @@ def with_gyroscope_bias(
     A = np.eye(9) - K @ H
     P = A @ found.P @ A.T + K @ R @ K.T
     return replace(found, b_w=found.b_w + K[6:] @ nu, P=(P + P.T) / 2.0)
-
-
-@cache
-def chi_square_limit(dof: int) -> float:
-    """Chi-square that is exceeded with the probability `FALSE_ALARM`."""
-    return 2.0 * float(gammainccinv(dof / 2.0, FALSE_ALARM))
