@@ -32,9 +32,9 @@ from insdvl.timeline.fold import Fold
 from insdvl.timeline.jumps import TimeJump
 from insdvl.timeline.output import AppliedUpdate
 from insdvl.timeline.state_file import StateFile
-from insdvl.watch.alignment import AlignmentCheck
+from insdvl.watch.alignment.check import AlignmentCheck
+from insdvl.watch.alignment.windows import integrated
 from insdvl.watch.start import report_of_start
-from insdvl.watch.windows import integrated
 from ros_insdvl.conversions import message_class
 from ros_insdvl.execution import run_node
 from ros_insdvl.node import InsdvlNode

@@ -440,7 +440,7 @@ from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.timeline.fold import Fold
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build
-from insdvl.watch.alignment import AlignmentCheck
+from insdvl.watch.alignment.check import AlignmentCheck
 from ros_insdvl.filter import compile_kernels
 
 def signatures():

@@ -20,7 +20,7 @@ from insdvl.simulation.trajectories import AUV, BASELINE, LOOP, STATIC
 from insdvl.studies.replay.fold import fold_recording
 from insdvl.studies.replay.scores import report
 from insdvl.watch import alignment
-from insdvl.watch.alignment import AlignmentCheck
+from insdvl.watch.alignment.check import AlignmentCheck
 
 Array = NDArray[np.float64]
 

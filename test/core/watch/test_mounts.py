@@ -20,7 +20,7 @@ from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.motion import Channel, Trajectory, Wave
 from insdvl.simulation.noise import constant
 from insdvl.studies.consistency.flights import SURVEY
-from insdvl.watch.alignment import AlignmentCheck
+from insdvl.watch.alignment.check import AlignmentCheck
 
 EXCHANGED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 EYE = np.eye(3)

@@ -3,7 +3,7 @@
 from insdvl.messages.inputs import Inputs
 from insdvl.navigation.events import Event
 from insdvl.navigation.parameters import FilterParameters
-from insdvl.watch.alignment import AlignmentCheck
+from insdvl.watch.alignment.check import AlignmentCheck
 from ros_insdvl.status.diagnostics import ERROR, RECENT, WARN, Status, View
 from ros_insdvl.status.filter.base import Cause
 from ros_insdvl.status.reasons import OF_FRAMES

@@ -18,7 +18,7 @@ from insdvl.recordings.parameters import ReplayParameters
 from insdvl.recordings.played import played
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.output import AppliedUpdate, FoldResult
-from insdvl.watch.alignment import AlignmentCheck
+from insdvl.watch.alignment.check import AlignmentCheck
 
 #: Limit of the samples of a recording: 28 hours at 100 Hz. All states are in memory, 3 kB each.
 MAX_SAMPLES = 10_000_000

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array, Stamps
 from insdvl.navigation.events import NS
-from insdvl.watch.causes import NOTHING, TURNS, Cause, Miswired
-from insdvl.watch.estimation import (
+from insdvl.watch.alignment.causes import NOTHING, TURNS, Cause, Miswired
+from insdvl.watch.alignment.estimation import (
     MOUNT,
     SCALE,
     SIZE,
@@ -25,8 +25,8 @@ from insdvl.watch.estimation import (
     linear_spread,
     rows,
 )
-from insdvl.watch.gravity import GRAVITY
-from insdvl.watch.windows import SLOW, Bases, Window, integrated
+from insdvl.watch.alignment.gravity import GRAVITY
+from insdvl.watch.alignment.windows import SLOW, Bases, Window, integrated
 
 SMALLEST = 1e-3  # m/s, noise of a DVL; none is better
 ACCUSED = 2.0 * math.log(1e4)  # twice the log of the odds against right parameters

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from insdvl.arrays import Array
 from insdvl.navigation.geometry.frames import CONVENTIONS, rotation_from_rpy, rpy_from_rotation
 from insdvl.navigation.parameters import FilterParameters
-from insdvl.watch.causes import DEGREES, UNITS, Cause, Miswired
-from insdvl.watch.estimation import (
+from insdvl.watch.alignment.causes import DEGREES, UNITS, Cause, Miswired
+from insdvl.watch.alignment.estimation import (
     ARM,
     DELAY,
     GYROSCOPE_SCALE,
@@ -19,7 +19,7 @@ from insdvl.watch.estimation import (
     Fit,
     Mounted,
 )
-from insdvl.watch.search import Explanation
+from insdvl.watch.alignment.search import Explanation
 
 FORWARD = math.radians(30.0)  # a vehicle travels forward within it; two courses that differ by it
 TILTED = math.radians(10.0)  # difference between two tilts that tells them apart

@@ -17,7 +17,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array
-from insdvl.watch.windows import SLOW, Bases, Noise, Window, joined
+from insdvl.watch.alignment.windows import SLOW, Bases, Noise, Window, joined
 
 #: Columns of the unknowns: a turn of the DVL [rad], ln(kappa), change of the lever arm [m], delay
 #: of the DVL [s], biases [m/s^2, rad/s], relative error of the gyroscope's scale.

@@ -11,7 +11,7 @@ from itertools import permutations, product
 import numpy as np
 
 from insdvl.arrays import Array
-from insdvl.watch.estimation import (
+from insdvl.watch.alignment.estimation import (
     ACCELEROMETER,
     ARM,
     DELAY,

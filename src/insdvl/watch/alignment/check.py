@@ -22,11 +22,11 @@ from insdvl.arrays import Array
 from insdvl.navigation.events import NS, Event, Imu
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
-from insdvl.watch.causes import Miswired, miswired
-from insdvl.watch.gravity import GravityCheck
-from insdvl.watch.search import Explanation, Motion, Samples, Search
-from insdvl.watch.sentences import Alignment, Terms
-from insdvl.watch.windows import SLOW
+from insdvl.watch.alignment.causes import Miswired, miswired
+from insdvl.watch.alignment.gravity import GravityCheck
+from insdvl.watch.alignment.search import Explanation, Motion, Samples, Search
+from insdvl.watch.alignment.sentences import Alignment, Terms
+from insdvl.watch.alignment.windows import SLOW
 
 WINDOW_NS = 20 * NS  # long enough for a turn, short enough for a noisy gyroscope
 WINDOWS = 30  # number of windows that are kept: 10 minutes
