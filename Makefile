@@ -6,6 +6,8 @@
 # make consistency  fly docs/results/consistency.md again, about 50 minutes on two quiet cores
 # make faults       fly the fault matrix of docs/reliability.md again, about half an hour
 # make soak         add an hour of mission to the soak there; ARGS="--hours 2"
+# make bench        time the filter against the same work in C and against other filters
+# make bench-check  fail where a ratio of them is 20 % worse than benchmarks/speed.json
 # make clean        remove what set-up and builds made
 #
 # Each sets up the environment when it runs first and rebuilds what changed.
@@ -22,7 +24,7 @@ PYTEST := pytest -n 2 --dist loadfile
 SOURCES := $(shell find src ros_insdvl ros_insdvl_sim models tools/build.sh tools/warm.py \
 	-name __pycache__ -prune -o -name '*.egg-info' -prune -o -print)
 
-.PHONY: demo test test-all test-jazzy results consistency faults soak clean
+.PHONY: demo test test-all test-jazzy bench bench-check results consistency faults soak clean
 .DELETE_ON_ERROR:
 
 demo: .venv/.built
@@ -30,6 +32,12 @@ demo: .venv/.built
 
 results consistency: .venv/.built
 	.venv/bin/insdvl $@ $(ARGS)
+
+bench: .venv/.built
+	.venv/bin/python benchmarks/speed.py $(ARGS)
+
+bench-check: .venv/.built
+	.venv/bin/python benchmarks/speed.py --check benchmarks/speed.json $(ARGS)
 
 faults soak: .venv/.built
 	AMENT_PREFIX_PATH=$(CURDIR)/.venv .venv/lib/ros_insdvl_sim/$@ $(ARGS)
