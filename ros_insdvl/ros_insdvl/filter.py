@@ -19,6 +19,7 @@ from sensor_msgs.msg import Imu, NavSatFix
 from std_srvs.srv import Trigger
 
 from insdvl.messages.feed import Feed
+from insdvl.messages.inputs import frame_id_of
 from insdvl.messages.make import fill_fix, fill_imu, fill_odometry, fill_twist
 from insdvl.messages.topics import GLOBAL_POSITION, Topic
 from insdvl.navigation.events import NS, Event, Measurement, ProcessNoise
@@ -190,7 +191,7 @@ class FilterNode(InsdvlNode[FilterParameters]):
                     self._bias_message.header.frame_id = message.header.frame_id
                 elif isinstance(event, Measurement):
                     innovation = self._innovation_messages[event.name]
-                    innovation.header.frame_id = message.header.frame_id
+                    innovation.header.frame_id = frame_id_of(message)
         finally:
             self._publish()
         if self._state_file is not None and (state := self._fold.latest) is not None:

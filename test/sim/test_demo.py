@@ -14,7 +14,8 @@ from ament_index_python.packages import get_package_prefix
 from graphs import Graph, children_of, runs
 from sensor_msgs.msg import Imu
 
-from insdvl.messages.convert import dvl, imu, process_noise, stamp_ns
+from insdvl.messages.convert import imu, process_noise, stamp_ns
+from insdvl.messages.dvl import dvl
 from insdvl.navigation.events import Imu as Sample
 from insdvl.navigation.geometry.frames import ENU
 from insdvl.navigation.odometry import odometry

@@ -12,6 +12,7 @@ from insdvl.messages.convert import FIX, IMU, ODOMETRY, TWIST, TWIST_WITH_COVARI
 from insdvl.messages.depth import PRESSURE
 from insdvl.navigation.events import NS
 from insdvl.recordings.base import new_message
+from insdvl.recordings.drivers import DEFINITIONS, Told, dvl_message
 from insdvl.recordings.messages import imu_message, odometry_message, twist_message
 
 #: Numbers that break programs.
@@ -63,8 +64,12 @@ class Adversary:
             topic = names.IMU if imu else topics[self._rng.integers(len(topics))]
             if topic == names.IMU:
                 self._now_ns += _STEP_NS
-            maker = self._makers.get(types[topic])
-            message = self._any(types[topic]) if maker is None else maker()
+            kind = types[topic]
+            if kind in DEFINITIONS:
+                yield topic, self._driver(kind)
+                continue
+            maker = self._makers.get(kind)
+            message = self._any(kind) if maker is None else maker()
             yield topic, replace(message, header=self._header(message.header))
 
     def _any(self, kind: str) -> Any:
@@ -166,6 +171,46 @@ class Adversary:
         pose = replace(message.pose, covariance=self._covariance(6))
         twist = replace(message.twist, covariance=self._covariance(6))
         return replace(message, pose=pose, twist=twist)
+
+    def _driver(self, kind: str) -> Any:
+        """A ping of a driver's own type; where it is odd, any of its numbers may be anything."""
+        rng = self._rng
+        told = Told()
+        if self._is_odd():
+            told = Told(
+                valid=bool(rng.integers(2)),
+                sigma=float(rng.choice([0.0, 0.1, 10.0, 1e100])),
+                altitude=float(rng.choice([-1.0, 20.0, np.nan])),
+                good_beams=int(rng.integers(4)),
+                beams=bool(rng.integers(2)),
+                water=bool(rng.integers(2)),
+                latency_ns=int(rng.integers(-(10**9), 2 * 10**10)),
+            )
+        message = dvl_message(kind, self._now_ns, self._numbers(3, 0.0, 0.1), told)
+        if self._is_odd():
+            message = self._spoilt(message)
+        if hasattr(message, "header"):
+            return replace(message, header=self._header(message.header))
+        if self._is_odd():
+            message.posix_time = bool(rng.integers(2))
+            message.timestamp, message.microseconds = (int(rng.integers(2**32)) for _ in range(2))
+        return message
+
+    def _spoilt(self, message: Any) -> Any:
+        """A message one of whose numbers, at any depth, is anything."""
+        name = [field.name for field in fields(message)][self._rng.integers(len(fields(message)))]
+        value = getattr(message, name)
+        odd = float(ODD[self._rng.integers(len(ODD))])
+        if isinstance(value, float):
+            return replace(message, **{name: odd})
+        if isinstance(value, np.ndarray) and value.size and value.dtype.kind == "f":
+            spoilt = value.copy()
+            with np.errstate(over="ignore"):
+                spoilt[self._rng.integers(value.size)] = odd
+            return replace(message, **{name: spoilt})
+        if hasattr(value, "__msgtype__") and name != "header":
+            return replace(message, **{name: self._spoilt(value)})
+        return message
 
     def _pressure(self) -> Any:
         message = new_message(PRESSURE)

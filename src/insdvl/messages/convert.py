@@ -6,7 +6,7 @@ recording. Nodes and `insdvl replay` use the same functions, so both get the sam
 Covariances follow REP-145: a first element of -1 means that the quantity is not measured, zeros
 mean that the covariance is unknown. A single zero on the diagonal means that this variance is
 unknown, since nothing is known perfectly; see `completed`. The velocity of a DVL has rules of its
-own, see `velocity_covariance`.
+own, see `velocity_covariance` and dvl.py.
 """
 
 import math
@@ -28,7 +28,6 @@ from insdvl.navigation.events import (
 from insdvl.navigation.geometry.earth import MAX_LATITUDE_DEG
 from insdvl.navigation.geometry.frames import Convention, rotation_from_quaternion
 from insdvl.navigation.geometry.odom import MAX_FROM_ORIGIN
-from insdvl.navigation.measurements.dvl import Dvl
 
 #: Message types that are converted here.
 IMU = "sensor_msgs/msg/Imu"
@@ -139,21 +138,24 @@ def _without_negative(matrix: Array) -> Array:
     return (nearest + nearest.T) / 2
 
 
-def velocity_covariance(field: Any, name: str) -> tuple[Array | None, tuple[bool, bool, bool]]:
-    """Covariance (3, 3) of a twist's linear velocity, and which components were measured.
+def velocity_covariance(
+    field: Any, name: str, rows: int
+) -> tuple[Array | None, tuple[bool, bool, bool]]:
+    """Covariance (3, 3) of a velocity, or of a twist's linear one, and what was measured.
 
     Drivers of DVLs write -1 for a variance that they do not know: it becomes zero, as all of its
     correlations. An infinite variance means that the component was not measured: it becomes zero
     too.
 
     Args:
-        field: Row-major covariance of the twist, 36 numbers.
+        field: Row-major covariance.
         name: Of the field.
+        rows: Number of its rows: 3, or 6 of a twist.
 
     Raises:
         RejectedMessage: ``no_data`` (no component was measured), ``bad_covariance``.
     """
-    matrix = square(field, 6, name)[:3, :3]
+    matrix = square(field, rows, name)[:3, :3]
     variances = np.diagonal(matrix)
     measured = variances != np.inf
     if not measured.any():
@@ -242,27 +244,6 @@ def process_noise(message: Any, convention: Convention) -> ProcessNoise:
         stamp_ns=stamp_ns(message.header),
         Q_f=rotated("linear_acceleration_covariance"),
         Q_w=rotated("angular_velocity_covariance"),
-    )
-
-
-def dvl(message: Any, convention: Convention) -> Dvl:
-    """The velocity of a geometry_msgs/TwistStamped or TwistWithCovarianceStamped.
-
-    Raises:
-        RejectedMessage: ``bad_stamp``, ``no_stamp``, ``not_finite``, ``no_data`` or
-            ``bad_covariance``.
-    """
-    twist, R, measured = message.twist, None, (True, True, True)
-    if hasattr(twist, "covariance"):
-        R, measured = velocity_covariance(twist.covariance, "twist.covariance")
-        twist = twist.twist
-    if R is not None:
-        R = convention.body @ R @ convention.body.T
-    return Dvl(
-        stamp_ns=sensor_stamp_ns(message.header),
-        v_d=convention.body @ vector(twist.linear, "twist.linear", measured),
-        R=R,
-        measured=measured,  # our axes and those of the stream differ in signs only
     )
 
 

@@ -11,12 +11,15 @@ from typing import Any
 
 from insdvl.messages.convert import RejectedMessage
 from insdvl.messages.topics import Topic, ZeroStamp, taken
-from insdvl.navigation.events import NS, Event, Imu, Orientation
+from insdvl.navigation.events import NS, Event, Imu, Measurement, Orientation
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.state import NEVER
 from insdvl.timeline.fold import Fold
 
-_frame_id: Callable[[Any], Any] = attrgetter("header.frame_id")
+
+def frame_id_of(message: Any) -> str:
+    """The frame_id of a message; empty for one without a header."""
+    return str(message.header.frame_id) if hasattr(message, "header") else ""
 
 
 class Inputs:
@@ -101,6 +104,8 @@ class Inputs:
             if isinstance(converted, Orientation) and self._is_initial_done(fold):
                 continue
             event = self._with_stamp(converted, row.zero_stamp, newest_ns)
+            if event is not None and not hasattr(message, "header"):
+                self._check_clock(event, newest_ns)
             if event is not None:
                 event = self._in_time(event, topic)
             if event is None:
@@ -125,18 +130,34 @@ class Inputs:
         """The event, with a stamp where zero means none; None while it waits for a sample's.
 
         Raises:
-            RejectedMessage: ``no_stamp``: zero is the beginning of time, and that is long past.
+            RejectedMessage: ``no_stamp``: zero is the beginning of time, and that is long past; or
+                a measurement has the stamp of the newest sample, and there is none.
         """
-        if event.stamp_ns != 0 or zero_stamp is ZeroStamp.UNSET:
+        if event.stamp_ns > 0 or zero_stamp is ZeroStamp.UNSET:
             return event
         if zero_stamp is ZeroStamp.BEGINNING:
             if newest_ns > self._jump_limit_ns:
                 raise RejectedMessage("no_stamp", "stamp is 0")
             return event
-        if newest_ns == NEVER:
-            self._unstamped = event
-            return None
-        return replace(event, stamp_ns=newest_ns)
+        if newest_ns != NEVER:
+            return replace(event, stamp_ns=newest_ns + event.stamp_ns)
+        if isinstance(event, Measurement):
+            raise RejectedMessage("no_stamp", "no IMU sample has arrived whose stamp it could have")
+        self._unstamped = event
+        return None
+
+    def _check_clock(self, event: Event, newest_ns: int) -> None:
+        """Refuse a time of a device, which is not that of a header, unless it is the IMU's.
+
+        Raises:
+            RejectedMessage: ``no_stamp``.
+        """
+        if newest_ns != NEVER and abs(event.stamp_ns - newest_ns) > self._max_delay_ns:
+            raise RejectedMessage(
+                "no_stamp",
+                f"the device's time is {(event.stamp_ns - newest_ns) / NS:.3f} s from the newest "
+                "IMU sample's: set its clock, or take the time of arrival (dvl.stamp)",
+            )
 
     def _in_time(self, event: Event, topic: str) -> Event:
         """The event at the time at which it was valid, by the topic's time offset.
@@ -156,14 +177,18 @@ class Inputs:
     def _check_frame(self, topic: str, row: Topic, message: Any) -> None:
         """Refuse a frame that is not the expected one; count changes of the frame_id.
 
+        A message without a header has no frame.
+
         Raises:
             RejectedMessage: ``wrong_frame``.
         """
+        if not hasattr(message, "header"):
+            return
         for name, get, expected in self._frames[topic]:
             found = str(get(message))
             if found != expected and (found or not row.command):
                 raise RejectedMessage("wrong_frame", f"{name} is {found!r}, not {expected!r}")
-        frame_id = str(_frame_id(message))
+        frame_id = frame_id_of(message)
         if self.frame_ids.setdefault(topic, frame_id) != frame_id:
             self.frame_ids[topic] = frame_id
             self.frame_changes[topic] += 1

@@ -12,7 +12,7 @@ from operator import attrgetter
 from types import MappingProxyType
 from typing import Any
 
-from insdvl.messages import convert, depth
+from insdvl.messages import convert, depth, drivers, dvl
 from insdvl.navigation.events import Event, Initial
 from insdvl.navigation.geometry.frames import CONVENTIONS, Convention
 from insdvl.navigation.parameters import FilterParameters
@@ -42,7 +42,7 @@ class ZeroStamp(Enum):
 
     UNSET = auto()  # the driver does not stamp its messages: the converter refuses them
     BEGINNING = auto()  # the beginning of time, as in a simulation; refused once time is far on
-    NOW = auto()  # the stamp of the newest IMU sample
+    NOW = auto()  # the stamp of the newest IMU sample; less than zero is so long before it
 
 
 #: The events of a message, in the order in which the filter takes them.
@@ -84,6 +84,8 @@ class Topic:
             where there is none.
         until_started: Whether messages are taken only until the filter has started, and max_delay
             has passed since.
+        type_parameter: Dotted name of the filter's parameter that names the one type which is
+            accepted, or is ``auto`` for all of them; empty where there is none.
         replay_parameter: Parameter of the replay that names the topic in a recording; empty where
             it is recorded under the name that the filter's parameter gives.
     """
@@ -102,11 +104,17 @@ class Topic:
     zero_stamp: ZeroStamp = ZeroStamp.UNSET
     time_offset: str = ""
     until_started: bool = False
+    type_parameter: str = ""
     replay_parameter: str = ""
 
     def name_in(self, parameters: FilterParameters) -> str:
         """The topic's name with these parameters."""
         return str(attrgetter(self.parameter)(parameters)) if self.parameter else self.name
+
+    def types_in(self, parameters: FilterParameters) -> tuple[str, ...]:
+        """The types that are accepted with these parameters."""
+        kind = attrgetter(self.type_parameter)(parameters) if self.type_parameter else "auto"
+        return self.types if kind == "auto" else (str(kind),)
 
 
 # ---------------------------------------------------------------- converters
@@ -130,7 +138,8 @@ def _imu(message: Any, parameters: FilterParameters) -> Iterator[Event]:
 
 
 def _dvl(message: Any, parameters: FilterParameters) -> Iterator[Event]:
-    yield convert.dvl(message, _convention(parameters))
+    by_arrival = parameters.dvl.stamp == "arrival"
+    yield dvl.dvl(message, _convention(parameters), by_arrival=by_arrival)
 
 
 def _depth(message: Any, parameters: FilterParameters) -> Iterator[Event]:
@@ -167,8 +176,6 @@ def _fix(message: Any, parameters: FilterParameters) -> Iterator[Event]:
 # ---------------------------------------------------------------- the table
 
 _OF_IMU = ("bad_stamp", "no_stamp", "not_finite", "no_data", "bad_covariance")
-_OF_TWIST = ("bad_stamp", "no_stamp", "not_finite")
-_OF_TWIST_WITH_COVARIANCE = (*_OF_TWIST, "no_data", "bad_covariance")
 _OF_ODOMETRY = ("bad_stamp", "not_finite", "bad_quaternion", "no_data", "bad_covariance")
 _OF_PROCESS_NOISE = ("bad_stamp", "bad_covariance")
 _OF_FIX = ("bad_stamp", "no_data", "not_finite", "out_of_range")
@@ -211,21 +218,24 @@ TOPICS: tuple[Topic, ...] = (
     ),
     Topic(
         DVL,
-        (convert.TWIST,),
+        drivers.TYPES,
         _dvl,
-        _OF_TWIST,
+        drivers.REFUSALS,
         measurement="dvl",
         frames=_DVL_FRAMES,
+        zero_stamp=ZeroStamp.NOW,
         time_offset="dvl.time_offset",
+        type_parameter="dvl.type",
         replay_parameter="dvl_topic",
     ),
     Topic(
         DVL_WITH_COVARIANCE,
         (convert.TWIST_WITH_COVARIANCE,),
         _dvl,
-        _OF_TWIST_WITH_COVARIANCE,
+        drivers.DRIVERS[convert.TWIST_WITH_COVARIANCE].refusals,
         measurement="dvl",
         frames=_DVL_FRAMES,
+        zero_stamp=ZeroStamp.NOW,
         time_offset="dvl.time_offset",
         replay_parameter="dvl_covariance_topic",
     ),
@@ -315,5 +325,5 @@ def taken(parameters: FilterParameters) -> dict[str, Topic]:
                 f"parameter '{topic.parameter}' must be a topic of its own, got {name!r}: "
                 f"it is already used as {found[same[0]].parameter or found[same[0]].name}"
             )
-        found[name] = topic
+        found[name] = replace(topic, types=topic.types_in(parameters))
     return found

@@ -7,7 +7,7 @@ from types import TracebackType
 from typing import NamedTuple, final
 
 from insdvl.extras import extra
-from insdvl.recordings.base import BagError, Raw, Recorded, decode, text_of
+from insdvl.recordings.base import BagError, Raw, Recorded, decode, text_of, typestore
 from insdvl.recordings.checks import (
     MAX_MESSAGE_BYTES,
     check_chunks,
@@ -16,6 +16,7 @@ from insdvl.recordings.checks import (
 )
 
 with extra("bags"):
+    from rosbags.interfaces import Connection, MessageDefinitionFormat
     from rosbags.rosbag2 import Reader
 
 
@@ -140,6 +141,7 @@ class BagReader:
         if not connections:
             return
         messages = self._reader.messages(connections)
+        definitions = {c.topic: _definition(c) for c in connections}
         while True:
             try:
                 connection, time_ns, data = next(messages)
@@ -157,7 +159,8 @@ class BagReader:
                 )
             if found > expected:
                 break
-            yield Raw(connection.topic, connection.msgtype, time_ns, bytes(data))
+            topic, kind = connection.topic, connection.msgtype
+            yield Raw(topic, kind, time_ns, bytes(data), definitions[topic])
         if found != expected:
             raise BagError(
                 f"recording {self.path} is damaged: it has {found} or more messages on "
@@ -174,3 +177,11 @@ class BagReader:
             BagError: The recording or one of the messages is damaged.
         """
         return map(decode, self.raw(topics))
+
+
+def _definition(connection: Connection) -> str:
+    """The definition of a type that is not a standard one; empty where the recording has none."""
+    if connection.msgtype in typestore().fielddefs:
+        return ""
+    form, text = connection.msgdef
+    return str(text) if form is MessageDefinitionFormat.MSG else ""

@@ -8,7 +8,7 @@ from types import TracebackType
 from typing import Any, final
 
 from insdvl.extras import extra
-from insdvl.recordings.base import BagError, Raw, typestore
+from insdvl.recordings.base import BagError, Raw, typestore_with
 
 with extra("bags"):
     from rosbags.rosbag2 import StoragePlugin, Writer
@@ -68,15 +68,17 @@ class BagWriter:
         """Append a message as its bytes, such as a raw subscription of rclpy gives.
 
         Raises:
-            BagError: The topic has another type already, the type is not a standard one, or the
-                disk cannot be written.
+            BagError: The topic has another type already, the type is neither a standard one nor
+                defined by the message, or the disk cannot be written.
         """
         connection = self._connections.get(raw.topic)
         try:
             if connection is None:
-                if raw.type not in typestore().fielddefs:
-                    raise BagError(f"topic {raw.topic}: {raw.type} is not a standard message type")
-                connection = self._writer.add_connection(raw.topic, raw.type, typestore=typestore())
+                try:
+                    store = typestore_with(raw.type, raw.definition)
+                except BagError as error:
+                    raise BagError(f"topic {raw.topic}: {error}") from error
+                connection = self._writer.add_connection(raw.topic, raw.type, typestore=store)
                 self._connections[raw.topic] = connection
             elif connection.msgtype != raw.type:
                 raise BagError(

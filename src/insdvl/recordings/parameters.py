@@ -24,7 +24,9 @@ class ReplayParameters:
         1, "The node starts when imu/data_raw has this many subscribers.", low=0, high=1000
     )
     imu_topic: str = parameter("/imu/data_raw", "sensor_msgs/Imu, played on imu/data_raw.")
-    dvl_topic: str = parameter("/dvl/velocity", "TwistStamped, played on dvl/velocity.")
+    dvl_topic: str = parameter(
+        "/dvl/velocity", "DVL, of any type of dvl.type, played on dvl/velocity."
+    )
     dvl_covariance_topic: str = parameter(
         "/dvl/velocity_cov", "TwistWithCovarianceStamped, played on dvl/velocity_cov."
     )

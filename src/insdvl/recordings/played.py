@@ -37,7 +37,7 @@ def played(
     for row in TOPICS:
         if row.replay_parameter:
             recorded = getattr(parameters, row.replay_parameter)
-            play(row.replay_parameter, recorded, row.name, row.types)
+            play(row.replay_parameter, recorded, row.name, taken.get(row.name, row).types)
     for name, row in taken.items():
         topic = name.lstrip("/")
         if topic != row.name or not row.replay_parameter:

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from insdvl.messages import convert as messages
 from insdvl.messages.convert import RejectedMessage
+from insdvl.messages.dvl import dvl
 from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.frames import ENU, NED
 
@@ -101,7 +102,7 @@ def test_the_last_stamp_there_is():
 
 
 def test_a_sensor_has_to_set_its_stamp():
-    for function, message in ((messages.imu, imu_message()), (messages.dvl, twist_message())):
+    for function, message in ((messages.imu, imu_message()), (dvl, twist_message())):
         message.header = header(0, 0)
         assert reason_of(function, message, ENU) == "no_stamp"
         message.header = header(0, 1)
@@ -121,7 +122,7 @@ def test_covariances_of_a_wrong_size(size):
     message = imu_message(P_w=wrong)
     assert messages.imu(message, ENU) is not None
     assert reason_of(messages.process_noise, message, ENU) == "bad_covariance"
-    assert reason_of(messages.dvl, twist_message(covariance=wrong), ENU) == "bad_covariance"
+    assert reason_of(dvl, twist_message(covariance=wrong), ENU) == "bad_covariance"
     for message in (odometry_message(P=wrong), odometry_message(P_v=wrong)):
         assert reason_of(messages.initial, message, ENU, once=False) == "bad_covariance"
 
@@ -139,7 +140,7 @@ def test_not_finite(bad, axis):
     values[axis] = bad
     assert reason_of(messages.imu, imu_message(f=values), ENU) == "not_finite"
     assert reason_of(messages.imu, imu_message(w=values), ENU) == "not_finite"
-    assert reason_of(messages.dvl, twist_message(values), ENU) == "not_finite"
+    assert reason_of(dvl, twist_message(values), ENU) == "not_finite"
     odometry = odometry_message(p=values)
     assert reason_of(messages.initial, odometry, ENU, once=False) == "not_finite"
     odometry = odometry_message(v=values)
@@ -284,36 +285,36 @@ class TestProcessNoise:
 
 class TestDvl:
     def test_without_covariance(self):
-        event = messages.dvl(twist_message((1.0, 2.0, 3.0)), ENU)
+        event = dvl(twist_message((1.0, 2.0, 3.0)), ENU)
         np.testing.assert_array_equal(event.v_d, [1.0, -2.0, -3.0])
         assert event.R is None
 
     def test_takes_the_block_of_the_velocity(self):
         P = block_covariance()
-        event = messages.dvl(twist_message(covariance=P), NED)
+        event = dvl(twist_message(covariance=P), NED)
         np.testing.assert_array_equal(event.R, P[:3, :3])
         signs = np.array([1.0, -1.0, -1.0])
-        event = messages.dvl(twist_message(covariance=P), ENU)
+        event = dvl(twist_message(covariance=P), ENU)
         np.testing.assert_array_equal(event.R, P[:3, :3] * np.outer(signs, signs))
 
     def test_zeros_are_unknown(self):
-        assert messages.dvl(twist_message(covariance=np.zeros(36)), ENU).R is None
+        assert dvl(twist_message(covariance=np.zeros(36)), ENU).R is None
 
     def test_turn_rates_that_are_not_measured_do_not_matter(self):
         P = np.zeros((6, 6))
         P[:3, :3] = np.eye(3)
         P[3:, 3:] = np.diag([-1.0, 0.0, 0.0])
-        np.testing.assert_array_equal(messages.dvl(twist_message(covariance=P), NED).R, np.eye(3))
+        np.testing.assert_array_equal(dvl(twist_message(covariance=P), NED).R, np.eye(3))
 
     def test_minus_one_is_an_unknown_variance(self):
         """REP-145 has it for a covariance that is not measured; drivers write it for unknown."""
         P = np.zeros((6, 6))
         P[0, 0] = -1.0
-        assert messages.dvl(twist_message(covariance=P), ENU).R is None
+        assert dvl(twist_message(covariance=P), ENU).R is None
         P = np.diag([-1.0, 4.0, 9.0, 0.0, 0.0, 0.0])
         P[0, 1] = P[1, 0] = 7.0
         P[1, 2] = P[2, 1] = 3.0
-        event = messages.dvl(twist_message(covariance=P), NED)
+        event = dvl(twist_message(covariance=P), NED)
         np.testing.assert_array_equal(event.R, [[0, 0, 0], [0, 4, 3], [0, 3, 9]])
         assert event.measured == (True, True, True)
 
@@ -322,19 +323,19 @@ class TestDvl:
     def test_an_infinite_variance_is_a_component_that_was_not_measured(self, v, correlation):
         P = np.diag([4.0, INF, 9.0, 0.0, 0.0, 0.0])
         P[0, 1] = P[1, 0] = P[1, 2] = P[2, 1] = correlation
-        event = messages.dvl(twist_message((1.0, v, 3.0), covariance=P), ENU)
+        event = dvl(twist_message((1.0, v, 3.0), covariance=P), ENU)
         np.testing.assert_array_equal(event.v_d, [1.0, 0.0, -3.0])
         np.testing.assert_array_equal(event.R, np.diag([4.0, 0.0, 9.0]))
         assert event.measured == (True, False, True)
 
     def test_nothing_measured_is_no_data(self):
         P = np.diag([INF, INF, INF, 0.0, 0.0, 0.0])
-        assert reason_of(messages.dvl, twist_message(covariance=P), ENU) == "no_data"
+        assert reason_of(dvl, twist_message(covariance=P), ENU) == "no_data"
 
     def test_nan_with_a_variance_that_is_only_unknown_is_refused(self):
         P = np.diag([4.0, -1.0, 9.0, 0.0, 0.0, 0.0])
         message = twist_message((1.0, NAN, 3.0), covariance=P)
-        assert reason_of(messages.dvl, message, ENU) == "not_finite"
+        assert reason_of(dvl, message, ENU) == "not_finite"
 
     @pytest.mark.parametrize(
         "P",
@@ -345,7 +346,7 @@ class TestDvl:
         ],
     )
     def test_bad_covariance(self, P):
-        assert reason_of(messages.dvl, twist_message(covariance=P), ENU) == "bad_covariance"
+        assert reason_of(dvl, twist_message(covariance=P), ENU) == "bad_covariance"
 
 
 class TestInitial:

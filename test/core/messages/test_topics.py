@@ -11,6 +11,7 @@ from adversary import Adversary
 
 from insdvl.messages import topics
 from insdvl.messages.convert import ODOMETRY
+from insdvl.messages.drivers import DRIVERS
 from insdvl.messages.feed import Feed
 from insdvl.messages.inputs import Inputs
 from insdvl.messages.topics import BY_NAME, DEPTH, DVL, IMU, TOPICS, TRUTH, ZeroStamp, taken
@@ -94,20 +95,28 @@ def test_two_parameters_cannot_name_one_topic(monkeypatch: pytest.MonkeyPatch) -
 def test_a_row_refuses_for_its_reasons_and_no_others() -> None:
     """An adversary finds every reason of the table, and beside it those of fold and inputs."""
     found: defaultdict[str, set[str]] = defaultdict(set)
+    of_driver: defaultdict[str, set[str]] = defaultdict(set)
     for seed, source in enumerate(("external", "oracle", "message")):
         parameters = build(FilterParameters, ALL | {"process_noise.source": source})
         for name, topic in Inputs(parameters).topics.items():
-            feed = Feed(parameters)  # of one topic: none is refused for the stamps of another one
-            adversary = Adversary(np.random.default_rng(seed), odd=0.3)
-            for _, message in adversary.messages({name: topic.types[0]}, 500):
-                feed.give(name, message)
-            found[name] |= {reason for _, reason in feed.refused}
+            for kind in topic.types if name == DVL else topic.types[:1]:
+                feed = Feed(parameters)  # of one: none is refused for the stamps of another one
+                adversary = Adversary(np.random.default_rng(seed), odd=0.3)
+                for _, message in adversary.messages({name: kind}, 500):
+                    feed.give(name, message)
+                reasons = {reason for _, reason in feed.refused}
+                found[name] |= reasons
+                if kind in DRIVERS and topic.measurement == "dvl":
+                    of_driver[kind] |= reasons
     assert set(found) == set(BY_NAME)
     of_fold = {"not_finite", "out_of_range", "duplicate", "too_late", "far_ahead"}
     for name, topic in BY_NAME.items():
         others = of_fold | ({"wrong_frame"} if topic.frames else set())
         others |= {"no_stamp"} if topic.zero_stamp is ZeroStamp.BEGINNING else set()
         assert set(topic.refusals) <= found[name] <= {*topic.refusals, *others}, name
+    for kind, driver in DRIVERS.items():
+        assert of_driver[kind] <= {*driver.refusals, *of_fold, "wrong_frame"}, kind
+        assert set(driver.refusals) <= of_driver[kind] | {"no_data"}, kind
 
 
 def test_our_own_nodes_publish_a_type_that_is_accepted() -> None:

@@ -48,6 +48,19 @@ from insdvl.parameters.declaration import lever_arm, mount, parameter, time_offs
 #: Most tilt, one sigma [rad], that an inflation takes for possible.
 LARGEST_TILT_DOUBT = 0.5
 
+#: Message types of DVLs that are understood; messages/drivers.py has the fields of each.
+TYPES = (
+    "geometry_msgs/msg/TwistStamped",
+    "geometry_msgs/msg/TwistWithCovarianceStamped",
+    "nav_msgs/msg/Odometry",
+    "marine_acoustic_msgs/msg/Dvl",
+    "dvl_msgs/msg/DVL",
+    "stonefish_ros2/msg/DVL",
+    "dave_interfaces/msg/DVL",
+    "interfaces/msg/BottomTrack",
+    "interfaces/msg/WaterTrack",
+)
+
 # First elements of the blocks, for the kernel.
 _VELOCITY, _ATTITUDE, _GYROSCOPE_BIAS = VELOCITY.start, ATTITUDE.start, GYROSCOPE_BIAS.start
 
@@ -84,8 +97,23 @@ class Dvl(Measurement):
 class DvlParameters(SensorParameters):
     """The real DVL and the error that is modelled of it."""
 
+    type: str = parameter(
+        "auto",
+        "Message type on dvl/velocity. With auto it is that of the first publisher, whenever it "
+        "appears, and in a replay that of the recording.",
+        choices=("auto", *TYPES),
+    )
+    stamp: str = parameter(
+        "message",
+        "Whose time a measurement has: that of the message, or the stamp of the newest IMU sample "
+        "at its arrival, for a device whose clock is not set. The state then depends on the order "
+        "of arrival; set time_offset to what the message takes to arrive.",
+        choices=("message", "arrival"),
+    )
     frame_id: str = parameter(
-        "", "A measurement of any other frame_id is refused as 'wrong_frame'; empty for any."
+        "",
+        "A measurement of any other frame_id is refused as 'wrong_frame'; empty for any. A message "
+        "without a header has none.",
     )
     mount: tuple[float, ...] = mount("DVL")
     lever_arm: tuple[float, ...] = lever_arm("DVL")
@@ -163,8 +191,13 @@ class DvlParameters(SensorParameters):
     EVENT = Dvl
     ROOM: ClassVar[Mapping[str, int]] = {"dvl_error": 3, "dvl_mount": 3}
     REMEDIES: ClassVar[Mapping[str, str]] = {
+        "invalid": "the driver marks them as invalid, or fills in numbers that stand for none: "
+        "wait for bottom lock",
+        "no_bottom": "altitude below zero, or fewer than three beams: the DVL has no bottom lock",
         "no_lock": "the DVL sends exact zeros: it has no bottom lock",
         "repeated": "the DVL repeats an earlier measurement: no bottom lock, or two publishers",
+        "through_water": "they are of the water and not of the bottom: turn water track off, or "
+        "give it a topic of its own",
         "too_fast": "they are faster than dvl.max_speed: fill values of a DVL without bottom lock, "
         "the DVL is in cm/s or mm/s, or dvl.max_speed is too small",
     }

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from insdvl.messages.convert import FIX, TWIST_WITH_COVARIANCE
+from insdvl.messages.inputs import frame_id_of
 from insdvl.messages.make import fill_fix, fill_innovation
 from insdvl.messages.topics import GLOBAL_POSITION, IMU, taken
 from insdvl.navigation.events import NS
@@ -28,7 +29,7 @@ def write_bag(
     for raw in recording:
         bag.write(raw._replace(topic="/" + raw.topic))
     frames = parameters.odom_frame, parameters.base_frame
-    frame_ids = {raw.topic: decode(raw).message.header.frame_id for raw in _firsts(recording)}
+    frame_ids = {raw.topic: frame_id_of(decode(raw).message) for raw in _firsts(recording)}
     sensors = {
         topic.measurement: frame_ids[name.lstrip("/")]
         for name, topic in reversed(taken(parameters).items())
