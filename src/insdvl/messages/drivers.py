@@ -134,6 +134,8 @@ class Driver:
     @property
     def refusals(self) -> tuple[str, ...]:
         """Reasons for which a message of the type may be refused."""
+        if self.water is _always:
+            return "bad_stamp", "no_stamp", "no_data", "invalid", "through_water"
         reasons = ["bad_stamp", "no_stamp", "not_finite"]
         if self.covariance or self.sigma:
             reasons += ["no_data", "bad_covariance"]

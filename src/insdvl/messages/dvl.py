@@ -75,16 +75,19 @@ def _velocity(told: Ping, driver: Driver) -> tuple[Array, Array | None, tuple[bo
         R, finite = velocity_covariance(told.covariance, driver.covariance, driver.rows)
         measured = _both(measured, finite)
     if R is None and told.sigma.any():
-        sigma = np.where(told.sigma < 0.0, 0.0, told.sigma)  # less than zero is not known either
-        flat = np.diag(np.where(measured, sigma, 0.0) ** 2).ravel()
-        R, finite = velocity_covariance(flat, driver.sigma, 3)
-        measured = _both(measured, finite)
+        sigma = np.where(measured, told.sigma, 0.0)
+        _check_sigma(sigma)
+        sigma[sigma < 0.0] = 0.0  # not known either
+        R, _ = velocity_covariance(np.diag(sigma**2).ravel(), driver.sigma, 3)
     v = vector(Vector(*told.velocity.tolist()), driver.velocity, measured)
-    if driver.axes is not Axes.STREAM:
-        _check_fill(v, R, measured)
     if R is not None:
         known = np.array(measured)
         R = np.where(known[:, None] & known, R, 0.0)
+    if driver.axes is not Axes.STREAM:
+        if (np.abs(v - FILL_VELOCITY) < _FILL_ROUNDING).any():
+            raise RejectedMessage("invalid", f"velocity is {v.tolist()}, {FILL_VELOCITY} is none")
+        if R is not None:
+            _check_sigma(np.sqrt(np.diagonal(R)))
     return v, R, measured
 
 
@@ -115,13 +118,10 @@ def _check_bottom(told: Ping) -> None:
         )
 
 
-def _check_fill(v: Array, R: Array | None, measured: tuple[bool, bool, bool]) -> None:
-    """Refuse numbers that stand for none."""
-    if (np.abs(v - FILL_VELOCITY) < _FILL_ROUNDING).any():
-        raise RejectedMessage("invalid", f"velocity is {v.tolist()}, {FILL_VELOCITY} means none")
-    if R is not None and (np.diagonal(R)[list(measured)] >= FILL_SIGMA**2).any():
-        sigma = np.sqrt(np.diagonal(R)).tolist()
-        raise RejectedMessage("invalid", f"sigma is {sigma} m/s, {FILL_SIGMA:g} m/s means none")
+def _check_sigma(sigma: Array) -> None:
+    """Refuse a sigma (3,) that stands for none."""
+    if (sigma >= FILL_SIGMA).any():
+        raise RejectedMessage("invalid", f"sigma is {sigma.tolist()} m/s, {FILL_SIGMA:g} is none")
 
 
 def _stamp_ns(message: Any, driver: Driver) -> int:
@@ -133,15 +133,14 @@ def _stamp_ns(message: Any, driver: Driver) -> int:
     if driver.header:
         return sensor_stamp_ns(message.header)
     seconds, microseconds = int(message.timestamp), int(message.microseconds)
-    if not 0 <= microseconds < NS // _US:
-        raise RejectedMessage("bad_stamp", f"stamp is {seconds} s and {microseconds} us")
-    stamp = seconds * NS + microseconds * _US
-    if not message.posix_time or stamp == 0:
+    if not message.posix_time or seconds == 0:
         raise RejectedMessage(
             "no_stamp",
             "the device's clock is not set: set it, or take the time of arrival (dvl.stamp)",
         )
-    return stamp
+    if not 0 <= microseconds < NS // _US:
+        raise RejectedMessage("bad_stamp", f"stamp is {seconds} s and {microseconds} us")
+    return seconds * NS + microseconds * _US
 
 
 def _latency_ns(message: Any, driver: Driver) -> int:

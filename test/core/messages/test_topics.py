@@ -99,7 +99,7 @@ def test_a_row_refuses_for_its_reasons_and_no_others() -> None:
     for seed, source in enumerate(("external", "oracle", "message")):
         parameters = build(FilterParameters, ALL | {"process_noise.source": source})
         for name, topic in Inputs(parameters).topics.items():
-            for kind in topic.types if name == DVL else topic.types[:1]:
+            for kind in topic.types if name == DVL and seed == 0 else topic.types[:1]:
                 feed = Feed(parameters)  # of one: none is refused for the stamps of another one
                 adversary = Adversary(np.random.default_rng(seed), odd=0.3)
                 for _, message in adversary.messages({name: kind}, 500):
