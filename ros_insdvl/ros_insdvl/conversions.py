@@ -5,6 +5,7 @@ from typing import Any
 
 from builtin_interfaces.msg import Time
 
+from insdvl.messages.drivers import DRIVERS
 from insdvl.navigation.events import NS
 from insdvl.parameters.declaration import ParameterError
 
@@ -17,8 +18,8 @@ def time_of(stamp_ns: int) -> Time:
 def message_class(kind: str) -> type[Any]:
     """The class of a message type, ``package/msg/Name``.
 
-    It is looked up when a node starts, so that a driver's own types are needed only where they are
-    used.
+    It is looked up when a topic is subscribed to, so that a driver's own types are needed only
+    where they are used.
 
     Raises:
         ParameterError: The type is not installed.
@@ -28,6 +29,14 @@ def message_class(kind: str) -> type[Any]:
         found: type[Any] = getattr(import_module(f"{package}.msg"), name)
     except (ImportError, AttributeError) as error:
         raise ParameterError(
-            f"message type {kind} is not installed: install or source package {package}"
+            f"message type {kind} is not installed: {_remedy(kind, package)}"
         ) from error
     return found
+
+
+def _remedy(kind: str, package: str) -> str:
+    """What to do where a message type is not installed."""
+    driver = DRIVERS.get(kind)
+    if driver is None or not driver.package:
+        return f"install or source package {package}"
+    return f"{driver.package}, and source the workspace of package {package}"

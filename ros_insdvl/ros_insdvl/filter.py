@@ -29,6 +29,7 @@ from insdvl.navigation.odometry import Odometry as FilterOdometry
 from insdvl.navigation.odometry import biases
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.start import gyrocompass
+from insdvl.parameters.declaration import ParameterError
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.jumps import TimeJump
 from insdvl.timeline.output import AppliedUpdate
@@ -43,7 +44,7 @@ from ros_insdvl.qos import command_qos, sensor_qos
 from ros_insdvl.status.diagnostics import Status, View
 from ros_insdvl.status.filter.watch import FilterWatch
 
-DISCOVERY_PERIOD = 0.5  # s of the steady clock between two looks for the type of a topic
+DISCOVERY_PERIOD = 0.1  # s of the steady clock between two looks for the type of a topic
 
 
 def compile_kernels(parameters: FilterParameters) -> None:
@@ -88,6 +89,27 @@ def compile_kernels(parameters: FilterParameters) -> None:
     gyrocompass.jacobian(np.eye(3), 0.0, 0.0)  # calls the Earth's rate and gravity, as a start does
 
 
+def chosen_type(name: str, topic: Topic, found: set[str]) -> str:
+    """The type of a topic, of those that its publishers have; empty where there is none yet.
+
+    Raises:
+        ParameterError: None of them is accepted, or several are.
+    """
+    accepted = [kind for kind in topic.types if kind in found]
+    if len(accepted) > 1:
+        remedy = f", or set {topic.type_parameter}" if topic.type_parameter else ""
+        raise ParameterError(
+            f"{name} is not received: its publishers have the types {' and '.join(accepted)}; stop "
+            f"all but one{remedy}"
+        )
+    if found and not accepted:
+        raise ParameterError(
+            f"{name} is not received: it has type {', '.join(sorted(found))}, expected one of "
+            f"{', '.join(topic.types)}"
+        )
+    return accepted[0] if accepted else ""
+
+
 class FilterNode(InsdvlNode[FilterParameters]):
     """The filter as a node."""
 
@@ -122,11 +144,9 @@ class FilterNode(InsdvlNode[FilterParameters]):
         self._slow_second: int | None = None
         self._start_told = False
         self.create_service(Trigger, "~/reset", self._reset)
-        self._mistyped: set[str] = set()  # topics of which no publisher has an accepted type
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._discovery = self.create_timer(DISCOVERY_PERIOD, self._discover, clock=steady)
         self._listen()
-        if self._undiscovered:
-            steady = Clock(clock_type=ClockType.STEADY_TIME)
-            self.create_timer(DISCOVERY_PERIOD, self._discover, clock=steady)
         self.start_diagnostics()
 
     def _resume(self) -> StateFile | None:
@@ -158,8 +178,10 @@ class FilterNode(InsdvlNode[FilterParameters]):
                 continue
             if len(topic.types) > 1:
                 self._undiscovered[name] = topic
+                self.received.setdefault(name, 0)
             else:
                 self._subscribe(name, topic, topic.types[0])
+        self._discovery.reset()
         self._discover()
 
     def _subscribe(self, name: str, topic: Topic, kind: str) -> None:
@@ -168,18 +190,17 @@ class FilterNode(InsdvlNode[FilterParameters]):
 
     def _discover(self) -> None:
         """Subscribe to the topics whose publishers show by now which type they have."""
+        self.unheard = {}
         for name, topic in list(self._undiscovered.items()):
             found = {info.topic_type for info in self.get_publishers_info_by_topic(name)}
-            accepted = [kind for kind in topic.types if kind in found]
-            if accepted:
-                del self._undiscovered[name]
-                self._subscribe(name, topic, accepted[0])
-            elif found and name not in self._mistyped:
-                self._mistyped.add(name)
-                self.get_logger().warning(
-                    f"{name} is not received: it has type {', '.join(sorted(found))}, expected one "
-                    f"of {', '.join(topic.types)}"
-                )
+            try:
+                if kind := chosen_type(name, topic, found):
+                    self._subscribe(name, topic, kind)
+                    del self._undiscovered[name]
+            except ParameterError as error:
+                self.unheard[name] = str(error)
+        if not self._undiscovered:
+            self._discovery.cancel()
 
     def _receive(self, topic: str, message: Any) -> None:
         try:

@@ -35,6 +35,7 @@ class InsdvlNode(Node, Generic[_Group]):
         received: Messages per topic, as the topic is named in the code.
         rejected: Messages that were not used, by topic and reason.
         inputs: The subscriptions, by topic.
+        unheard: Topics that have publishers but cannot be subscribed to, and why.
         outputs: The publishers, by topic.
         finished: Completed with the exit code by a node that ends by itself.
     """
@@ -62,6 +63,7 @@ class InsdvlNode(Node, Generic[_Group]):
         self.received: Counter[str] = Counter()
         self.rejected: Counter[Refused] = Counter()
         self.inputs: dict[str, Subscription] = {}
+        self.unheard: dict[str, str] = {}
         self.outputs: dict[str, Output] = {}
         self.finished: Future = Future()
         self._heard: dict[str, float] = {}
@@ -168,6 +170,6 @@ class InsdvlNode(Node, Generic[_Group]):
         publishers = {topic: output.publisher for topic, output in self.outputs.items()}
         return [
             *self.causes(self._view),
-            self._connections.status(self.inputs, publishers),
+            self._connections.status(self.inputs, publishers, self.unheard),
             self._unexpected.status(self._view),
         ]

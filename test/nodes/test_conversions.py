@@ -9,6 +9,7 @@ from insdvl.messages.make import fill_innovation, flat_covariance, set_quaternio
 from insdvl.messages.topics import TOPICS
 from insdvl.navigation.geometry.frames import ENU
 from insdvl.parameters.declaration import ParameterError
+from insdvl.recordings.drivers import DEFINITIONS
 from ros_insdvl.conversions import message_class, time_of
 
 
@@ -66,9 +67,22 @@ def test_innovation_has_as_many_numbers_as_the_measurement_has_rows(rows: int) -
 
 
 def test_every_type_of_the_table_is_found_by_its_name() -> None:
-    for kind in {kind for topic in TOPICS for kind in topic.types}:
+    for kind in {kind for topic in TOPICS for kind in topic.types} - DEFINITIONS.keys():
         found = message_class(kind)
         assert f"{found.__module__.split('.')[0]}/msg/{found.__name__}" == kind
+
+
+@pytest.mark.parametrize(
+    ("kind", "package"),
+    [
+        ("marine_acoustic_msgs/msg/Dvl", "Debian package ros-jazzy-marine-acoustic-msgs"),
+        ("dvl_msgs/msg/DVL", "no Debian package has it: build paagutie/dvl_msgs"),
+        ("interfaces/msg/BottomTrack", "no Debian package has it: build `interfaces`"),
+    ],
+)
+def test_a_drivers_type_that_is_not_installed_names_its_package(kind: str, package: str) -> None:
+    with pytest.raises(ParameterError, match=f"^message type {kind} is not installed: .*{package}"):
+        message_class(kind)
 
 
 @pytest.mark.parametrize("kind", ["no_such_driver_msgs/msg/Ping", "sensor_msgs/msg/NoSuchName"])

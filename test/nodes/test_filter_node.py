@@ -29,6 +29,7 @@ from told import TOLD
 
 from insdvl import files
 from insdvl.messages import convert as messages
+from insdvl.messages.dvl import dvl
 from insdvl.messages.make import flat_covariance
 from insdvl.navigation.events import NS
 from insdvl.navigation.geometry import odom
@@ -98,7 +99,7 @@ def offline(parameters: dict[str, Any], sent: list[tuple[str, Any]]) -> list[Any
         (messages.imu(m, ENU) for topic, m in sent if topic == "imu/data_raw"),
         key=lambda sample: sample.stamp_ns,
     )
-    convert = {"dvl/velocity": messages.dvl, "process_noise": messages.process_noise}
+    convert = {"dvl/velocity": dvl, "process_noise": messages.process_noise}
     events = [convert[topic](m, ENU) for topic, m in sent if topic in convert]
     result = fold_arrays(
         build(FilterParameters, TOLD | parameters),

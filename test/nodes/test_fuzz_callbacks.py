@@ -1,6 +1,7 @@
 """Whatever arrives at a callback of a node, the node lives, and what it publishes could be true."""
 
 from collections.abc import Callable, Iterator
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from sensor_msgs.msg import Imu
 from insdvl.messages import convert
 from insdvl.messages.topics import BY_NAME
 from insdvl.recordings.base import encode
+from insdvl.recordings.drivers import DEFINITIONS
 from ros_insdvl.conversions import message_class
 from ros_insdvl.filter import FilterNode
 from ros_insdvl.monitor import Monitor
@@ -75,16 +77,36 @@ def all_numbers(message: Any) -> list[float]:
     "parameters",
     [
         {},
-        {"process_noise.source": "external", "output_delay": 1.0},
+        {"process_noise.source": "external", "output_delay": 1.0, "dvl.type": convert.ODOMETRY},
         {"initial.mode": "topic", "origin.source": "topic", "process_noise.source": "message"},
     ],
 )
 def test_filter(bench: Any, parameters: dict[str, Any]) -> None:
-    b = bench(FilterNode, **parameters)
+    b = bench(FilterNode, **({"dvl.type": convert.TWIST} | parameters))
     topics = {name: topic.types[0] for name, topic in b.tested._inputs.topics.items()}
+    assert "dvl/velocity" in b.tested.inputs
     for topic, message in adverse(topics, COUNT):
         if topic in b.tested.inputs:  # a topic of the initial state is left when it has been heard
             b.give(topic, message)
+    judge_filter(b)
+
+
+@pytest.mark.parametrize("stamp", ["message", "arrival"])
+def test_filter_with_drivers(bench: Any, stamp: str) -> None:
+    """Their packages are not here: their messages are given to the callback as decoded ones."""
+    b = bench(FilterNode, **{"dvl.stamp": stamp})
+    adversary = Adversary(np.random.default_rng(1), odd=0.1, wire=True)
+    for kind, _ in zip(cycle(DEFINITIONS), range(COUNT), strict=False):
+        topics = {"imu/data_raw": convert.IMU, "dvl/velocity": kind}
+        ((topic, message),) = adversary.messages(topics, 1)
+        if topic == "imu/data_raw":
+            b.give(topic, deserialize_message(encode(topic, 0, message).data, Imu))
+        else:
+            b.tested._receive(topic, message)
+    judge_filter(b)
+
+
+def judge_filter(b: Bench) -> None:
     odometry = b.messages("odometry/filtered", Odometry)
     assert len(odometry) > 100
     for message in odometry:

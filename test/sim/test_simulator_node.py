@@ -18,6 +18,7 @@ from sensor_msgs.msg import Imu
 from starts import Start, starts
 
 from insdvl.messages import convert as messages
+from insdvl.messages.dvl import dvl
 from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.frames import CONVENTIONS
 from insdvl.parameters.declaration import ParameterError, build
@@ -115,7 +116,7 @@ def test_messages_carry_the_mission_in_the_axes_of_the_stream(graph, convention)
     samples = [messages.imu(message, axes) for message in received["imu/data_raw"]]
     np.testing.assert_array_equal([s.f_b for s in samples], mission.f_b)
     np.testing.assert_array_equal([s.w_ib_b for s in samples], mission.w_ib_b)
-    pings = [messages.dvl(message, axes) for message in received["dvl/velocity"]]
+    pings = [dvl(message, axes) for message in received["dvl/velocity"]]
     np.testing.assert_array_equal([ping.v_d for ping in pings], mission.v_d)
 
     states = [messages.initial(m, axes, once=True) for m in received["ground_truth/odometry"]]

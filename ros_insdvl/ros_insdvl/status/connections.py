@@ -36,16 +36,22 @@ class Connections:
         self._doubled_since: float | None = None
 
     def status(
-        self, inputs: Mapping[str, Subscription], outputs: Mapping[str, Publisher]
+        self,
+        inputs: Mapping[str, Subscription],
+        outputs: Mapping[str, Publisher],
+        unheard: Mapping[str, str],
     ) -> Status:
         """The status of the connections.
 
         Args:
             inputs: The node's subscriptions, by topic.
             outputs: Its publishers, by topic.
+            unheard: Topics that it cannot subscribe to, and why.
         """
         status = Status("connections", "all endpoints match")
         self._report_names(status)
+        for topic, reason in unheard.items():
+            status.complain(ERROR, f"unheard {topic}", reason)
         for topic, subscription in inputs.items():
             publishers, subscriptions = self._endpoints(topic)
             status.values[f"publishers {topic}"] = len(publishers)

@@ -124,6 +124,7 @@ def start_consumers(processes: Processes, out: Path, initial: Mapping[str, Any])
             "output_delay": OUTPUT_DELAY,
             "max_delay": 10.0,
             "process_noise": {"source": source},
+            "dvl": {"type": BY_NAME[DVL].types[0]},  # subscribed before there is a publisher
         }
         document = {"/**/insdvl_filter": {"ros__parameters": section}}
         files.write(parameters, yaml.safe_dump(document, sort_keys=False).encode())

@@ -14,7 +14,7 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Imu
 
 from insdvl.arrays import Array
-from insdvl.messages.topics import DVL, IMU, PROCESS_NOISE, TRUTH
+from insdvl.messages.topics import BY_NAME, DVL, IMU, PROCESS_NOISE, TRUTH
 from insdvl.navigation.events import NS
 from insdvl.studies.faults import soak
 from ros_insdvl_sim.trials.names import (
@@ -118,6 +118,7 @@ class Graph:
             **soak.start_parameters(),
             "process_noise.source": "external",
             "max_delay": 10.0,
+            "dvl.type": BY_NAME[DVL].types[0],  # subscribed before there is a publisher
             **lossless(f"/{IMU}", f"/{DVL}"),
         }
         processes.start("filter", FILTER, parameters)

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from nav_msgs.msg import Odometry
 
-from insdvl.messages.topics import DVL, IMU, TRUTH
+from insdvl.messages.topics import BY_NAME, DVL, IMU, TRUTH
 from insdvl.navigation.events import NS
 from insdvl.parameters.declaration import flatten
 from insdvl.studies.faults.flight import parameters_of
@@ -114,6 +114,7 @@ class LiveFlight:
         values = flatten(parameters_of(mission, sensors, SEED, {}))
         return {
             **{name: value for name, value in values.items() if _is_of_mission(name)},
+            "dvl.type": BY_NAME[DVL].types[0],  # subscribed before there is a publisher
             **lossless(f"/{IMU}", f"/{DVL}"),
             **self.parameters,
         }
