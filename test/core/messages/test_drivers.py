@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,7 @@ from insdvl.recordings.base import decode, new_message
 from insdvl.recordings.drivers import DEFINITIONS, Told, dvl_message, dvl_raw
 from insdvl.recordings.messages import imu_message
 
+DOCS = Path(__file__).parents[3] / "docs"
 STAMP = 1_700_000_000 * NS + 123_456_000
 V = np.array([1.0, 0.25, -0.125])  # forward-right-down, exact in single precision
 #: Types that name their axes themselves.
@@ -73,6 +75,22 @@ def test_every_field_of_the_table_is_in_the_definition(kind: str) -> None:
                 field = getattr(field, part)  # raises where there is none
     assert hasattr(message, "header") == driver.header
     assert driver.package
+
+
+def test_the_page_has_the_table() -> None:
+    """Every type with the fields that are taken, its axes, and every reason."""
+    page = (DOCS / "how-to" / "drivers.md").read_text()
+    lines = {line.split("`")[1]: line for line in page.splitlines() if line.startswith("| `")}
+    words = {Axes.STREAM: "`frame_convention`", Axes.FRD: "along", Axes.FLU: "against"}
+    for kind, driver in DRIVERS.items():
+        assert words[driver.axes] in lines[kind].split(" | ")[-1]
+        if kind == NUCLEUS_WATER:
+            continue
+        names = [driver.velocity, driver.covariance, driver.sigma, driver.valid, driver.altitude]
+        for name in filter(None, [*names, driver.good_beams]):
+            assert name.replace("{axis}", "x") in lines[kind], name
+    for reason in REFUSALS:
+        assert f"`{reason}`" in page
 
 
 def test_the_type_of_a_message_is_its_name() -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import hypot
+from math import hypot, pi
 from typing import ClassVar
 
 import numpy as np
@@ -43,7 +43,7 @@ from insdvl.navigation.measurements.base import (
 from insdvl.navigation.start.automatic import UNKNOWN_SPEED
 from insdvl.navigation.state import State
 from insdvl.navigation.strapdown import turn_rate
-from insdvl.parameters.declaration import lever_arm, mount, parameter, time_offset
+from insdvl.parameters.declaration import lever_arm, parameter, time_offset
 
 #: Most tilt, one sigma [rad], that an inflation takes for possible.
 LARGEST_TILT_DOUBT = 0.5
@@ -115,7 +115,15 @@ class DvlParameters(SensorParameters):
         "A measurement of any other frame_id is refused as 'wrong_frame'; empty for any. A message "
         "without a header has none.",
     )
-    mount: tuple[float, ...] = mount("DVL")
+    mount: tuple[float, ...] = parameter(
+        (0.0, 0.0, 0.0),
+        "How the DVL is turned in base_link, as roll, pitch, yaw in the axes of frame_convention, "
+        "whatever axes its messages have; zeros for one that looks down, its x axis forwards.",
+        unit="rad",
+        low=-2 * pi,
+        high=2 * pi,
+        length=3,
+    )
     lever_arm: tuple[float, ...] = lever_arm("DVL")
     time_offset: float = time_offset("DVL")
     covariance: str = parameter(
