@@ -39,4 +39,4 @@ def _remedy(kind: str, package: str) -> str:
     driver = DRIVERS.get(kind)
     if driver is None or not driver.package:
         return f"install or source package {package}"
-    return f"{driver.package}, and source the workspace of package {package}"
+    return f"{driver.package}, then source the workspace that has package {package}"
