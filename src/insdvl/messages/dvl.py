@@ -43,16 +43,21 @@ def dvl(message: Any, convention: Convention, *, by_arrival: bool = False) -> Dv
         RejectedMessage: One of `REFUSALS`.
     """
     try:
-        driver, told = DRIVERS[type_of(message)], ping(message)
-        stamp = 0 if by_arrival else _stamp_ns(message, driver)
-        latency_ns = _latency_ns(message, driver)
-    except (AttributeError, TypeError, ValueError, IndexError) as error:
-        if isinstance(error, RejectedMessage):
-            raise
-        # Its definition is not that which the type has in the table.
+        return _measurement(message, convention, by_arrival)
+    except RejectedMessage:
+        raise
+    except (AttributeError, IndexError, TypeError, ValueError) as error:
+        # The message's definition is not that which its type has in the table.
         raise RejectedMessage("no_data", f"the message cannot be understood: {error}") from error
+
+
+def _measurement(message: Any, convention: Convention, by_arrival: bool) -> Dvl:
+    driver, told = DRIVERS[type_of(message)], ping(message)
+    stamp = 0 if by_arrival else _stamp_ns(message, driver)
+    latency_ns = _latency_ns(message, driver)
     if not by_arrival and stamp < latency_ns:
         raise RejectedMessage("bad_stamp", f"stamp is {stamp} ns, the latency {latency_ns} ns")
+    # Body axes of NED are forward-right-down, those of ENU forward-left-up.
     axes = {Axes.STREAM: convention, Axes.FRD: NED, Axes.FLU: ENU}[driver.axes].body
     v, R, measured = _velocity(told, driver)
     return Dvl(

@@ -254,9 +254,9 @@ def dvl_raw(topic: str, time_ns: int, message: Any) -> Raw:
 
 def _set_three(message: Any, name: str, values: ArrayLike) -> None:
     """Set a Vector3, three fields, or one field to the first of three equal values."""
-    values = np.asarray(values).tolist()
+    three: list[Any] = np.asarray(values).tolist()
     if "{axis}" in name:
-        for axis, value in zip("xyz", values, strict=True):
+        for axis, value in zip("xyz", three, strict=True):
             _set(message, name.format(axis=axis), value)
         return
     *path, last = name.split(".")
@@ -264,9 +264,9 @@ def _set_three(message: Any, name: str, values: ArrayLike) -> None:
         message = getattr(message, part)
     field = getattr(message, last)
     if hasattr(field, "x"):
-        field.x, field.y, field.z = values
+        field.x, field.y, field.z = three
     else:
-        _set(message, last, values[0])
+        _set(message, last, three[0])
 
 
 def _set(message: Any, name: str, value: Any) -> None:

@@ -348,6 +348,7 @@ def test_fields_that_a_definition_lacks_say_nothing() -> None:
         "geometry_msgs/Vector3 velocity\n",
         "std_msgs/Header header\ngeometry_msgs/Vector3 velocity\nfloat64 velocity_covariance\n",
         "std_msgs/Header header\ngeometry_msgs/Vector3 velocity\nstring[] beams\n",
+        "std_msgs/Header header\ngeometry_msgs/Vector3 velocity\nstring velocity_covariance\n",
     ],
 )
 def test_a_definition_of_another_message_is_refused_and_never_raises(definition: str) -> None:
