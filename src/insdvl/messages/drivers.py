@@ -65,7 +65,7 @@ class Ping:
 
     velocity: Array
     measured: tuple[bool, bool, bool]
-    covariance: Sequence[float] | None
+    covariance: Sequence[float] | Array | None
     sigma: Array
     altitude: float
     good_beams: int | None
@@ -307,7 +307,7 @@ def _three(message: Any, name: str, default: Any) -> list[Any]:
     return [field_of(message, name.format(axis=axis), default) for axis in "xyz"]
 
 
-def _unpacked(covariance: Sequence[float]) -> Sequence[float]:
+def _unpacked(covariance: Sequence[float]) -> Array:
     """Covariance of a twist, also where its first nine numbers are those of the velocity alone."""
     flat = np.asarray(covariance, dtype=float)
     if flat.size != 36 or flat[9:].any() or not (flat[4] or flat[8]):
@@ -333,12 +333,13 @@ def ping(message: Any) -> Ping:
     flagged = any(field_of(message, name, False) for name in driver.beam_flags)
     if driver.beam_flags and not (flagged or beams or count):
         x = y = z = True
-    covariance = field_of(message, driver.covariance, None) if driver.covariance else None
+    covariance: Any = field_of(message, driver.covariance, None) if driver.covariance else None
     if driver.packed and covariance is not None:
         covariance = _unpacked(covariance)
     if driver.rows == 3 and covariance is not None and not len(covariance):
         covariance = None  # a sequence that was left empty
-    if driver.minus_one_is_invalid and list(covariance[:1]) == [-1.0]:
+    marked = driver.minus_one_is_invalid and covariance is not None
+    if marked and list(covariance[:1]) == [-1.0]:
         x = y = z = False
     return Ping(
         velocity=np.array(velocity, dtype=float),

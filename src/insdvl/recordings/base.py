@@ -118,14 +118,15 @@ def new_message(kind: str, *, definition: str = "", of: str = "") -> Any:
 
 
 def _new(kind: str, store: Typestore) -> Any:
-    fields = {name: _default(*field, store) for name, field in store.fielddefs[kind][1]}
+    fields = {name: _default(field, store) for name, field in store.fielddefs[kind][1]}
     if kind == _QUATERNION:  # the one type of ours whose definition has another default than zero
         fields["w"] = 1.0
     return store.types[kind](**fields)
 
 
-def _default(node: Nodetype, definition: Any, store: Typestore) -> Any:
+def _default(field: Any, store: Typestore) -> Any:
     """The default value of a field, by its definition in the typestore."""
+    node, definition = field
     if node is Nodetype.NAME:
         return _new(definition, store)
     if node is Nodetype.BASE:
@@ -134,7 +135,7 @@ def _default(node: Nodetype, definition: Any, store: Typestore) -> Any:
     count = size if node is Nodetype.ARRAY else 0
     if inner is Nodetype.BASE and of[0] != "string":
         return np.zeros(count, dtype=of[0])
-    return [_default(inner, of, store) for _ in range(count)]
+    return [_default((inner, of), store) for _ in range(count)]
 
 
 # ---------------------------------------------------------------- bytes
