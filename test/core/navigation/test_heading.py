@@ -67,7 +67,7 @@ def state_at(filter_: Filter, x: np.ndarray, C: np.ndarray = ATTITUDE_OF_TEST) -
 def test_the_jacobian_is_the_derivative_of_h(
     error_state: str, roll_pitch: bool, error_std: float, rpy: tuple[float, ...]
 ) -> None:
-    """Within the tangent at rest: z is what is predicted, so that the turn between both is small."""
+    """Where z is what is predicted: at a large turn that of roll and pitch is not the identity."""
     settings = parameters(
         error_state=error_state, heading__roll_pitch=roll_pitch, heading__error_std=error_std
     )
