@@ -1,12 +1,13 @@
 """The rows of the fault matrix that concern messages and time, by subject."""
 
-from insdvl.studies.faults.rows import depth, dvl, imu, network, process_noise, time
+from insdvl.studies.faults.rows import depth, dvl, heading, imu, network, process_noise, time
 from insdvl.studies.faults.rows.base import FlightRow
 
 ROWS: tuple[FlightRow, ...] = (
     *imu.ROWS,
     *dvl.ROWS,
     *depth.ROWS,
+    *heading.ROWS,
     *process_noise.ROWS,
     *time.ROWS,
     *network.ROWS,
