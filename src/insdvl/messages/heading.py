@@ -12,7 +12,6 @@ from insdvl.navigation.geometry.frames import (
     rotation_from_quaternion,
     rotation_from_rpy,
 )
-from insdvl.navigation.geometry.rotation import about_down
 from insdvl.navigation.measurements.heading import Heading
 from insdvl.navigation.parameters import FilterParameters
 
@@ -46,8 +45,7 @@ def heading(message: Any, parameters: FilterParameters, mount: tuple[float, ...]
         raise RejectedMessage("bad_quaternion", f"orientation is {q_xyzw.tolist()}")
     C_n_s = convention.attitude(rotation_from_quaternion(q_xyzw))
     C_b_s = convention.body_rotation(rotation_from_rpy(np.array(mount)))
-    to_true_north = np.empty((3, 3))
-    about_down(to_true_north, parameters.heading.declination)
+    to_true_north = rotation_from_rpy(np.array([0.0, 0.0, parameters.heading.declination]))
     P_psi = None if covariance is None else convention.nav @ covariance @ convention.nav.T
     return Heading(stamp_ns, np.ascontiguousarray(to_true_north @ C_n_s @ C_b_s.T), P_psi)
 

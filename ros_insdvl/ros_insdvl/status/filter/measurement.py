@@ -47,11 +47,8 @@ class MeasurementCause(Cause):
         self._fold = fold
         self._published = published
         model = fold.filter.models[name]
-        self._label, self._tells_velocity, self._rows = (
-            model.label,
-            model.tells_velocity,
-            model.rows,
-        )
+        self._label, self._rows = model.label, model.rows
+        self._tells_velocity, self._angles = model.tells_velocity, model.angles
         self._updates: Counter[str] = Counter()
         self._not_measured: Counter[str] = Counter()  # components
         self.reset()
@@ -120,6 +117,8 @@ class MeasurementCause(Cause):
         sigma = f"the height's sigma is {self._published.height_sigma:.2f} m"
         if self._tells_velocity:
             sigma = f"the velocity's sigma is {self._published.velocity_sigma:.2f} m/s"
+        elif self._angles:
+            sigma = f"the heading's sigma is {self._published.heading_sigma_deg:.2g} deg"
         status.complain(
             ERROR if outage_ns > LOST_NS else WARN,
             "outage",

@@ -21,7 +21,8 @@ from insdvl.navigation import coordinates
 from insdvl.navigation.coordinates import attitude_error
 from insdvl.navigation.error_state import ATTITUDE, GYROSCOPE_BIAS, POSITION, VELOCITY
 from insdvl.navigation.events import MAX_VARIANCE, NS, Limits, Measurement
-from insdvl.navigation.geometry.rotation import about_down, cross_matrix
+from insdvl.navigation.geometry.frames import rotation_from_rpy
+from insdvl.navigation.geometry.rotation import cross_matrix
 from insdvl.navigation.measurements import noise
 from insdvl.navigation.measurements.base import (
     Block,
@@ -301,10 +302,8 @@ class HeadingModel(SensorModel[Heading]):
         rows = np.arange(ATTITUDE.stop - self.rows, ATTITUDE.stop)
         to_body = np.linalg.inv(self._from_body(s))
         P = to_body @ nav["P"][:n, :n] @ to_body.T
-        R_h, scratch = np.empty((3, 3)), psi.copy()
-        about_down(R_h, psi[_DOWN])
-        scratch[_DOWN] = 0.0
-        turn = R_h @ turned(scratch) if invariant else turned(psi)
+        R_h = _about_down(psi[_DOWN])
+        turn = R_h @ turned(np.array([*psi[:_DOWN], 0.0])) if invariant else turned(psi)
         nav["C_n_b"] = turn @ nav["C_n_b"]
         nav["v_n"] = turn @ nav["v_n"]
         T = np.eye(n)  # the tilt is known in the axes of the vehicle, which turn
@@ -361,10 +360,8 @@ class AttitudeModel(HeadingModel):
 
     def _innovation(self, measured: Array, C_n_b: Array, error: float) -> Array:
         """The turn (3,) to what is measured, less its error; as the error state has turns."""
-        back = np.empty((3, 3))
-        about_down(back, -error)
-        nav = {"C_n_b": C_n_b}
-        psi = attitude_error(nav, back @ measured, invariant=self._vehicle.invariant)
+        nav, measured = {"C_n_b": C_n_b}, _about_down(-error) @ measured
+        psi = attitude_error(nav, measured, invariant=self._vehicle.invariant)
         psi[_DOWN] = wrapped(psi[_DOWN])
         return psi
 
@@ -372,6 +369,10 @@ class AttitudeModel(HeadingModel):
 def wrapped(angle: float) -> float:
     """An angle [rad] within (-pi, pi]."""
     return math.pi - (math.pi - angle) % (2.0 * math.pi)
+
+
+def _about_down(angle: float) -> Array:
+    return rotation_from_rpy(np.array([0.0, 0.0, angle]))
 
 
 def _yaw(C_n_b: Array) -> float:
