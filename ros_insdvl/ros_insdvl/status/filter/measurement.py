@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from insdvl.messages.topics import IMU
 from insdvl.navigation.events import NS
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.output import AppliedUpdate
@@ -74,7 +75,8 @@ class MeasurementCause(Cause):
         reasons = [r.reason for r in view.rejected.total if r.topic == self._name]
         told = [reason for reason in reasons if reason not in self._ignored(view)]
         view.report_refused(status, [self._name], told)
-        view.report_refused(status, [topic for topic in self._topics if topic in view.silence])
+        topics = (topic for topic in self._topics if topic in view.silence and topic != IMU)
+        view.report_refused(status, topics)  # on the topic of the IMU it is the samples
         self._report_outage(status, view)
         recoveries = _RECOVERIES if self._tells_velocity else {}
         for name, what in recoveries.items():
