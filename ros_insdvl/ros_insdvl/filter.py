@@ -20,7 +20,7 @@ from std_srvs.srv import Trigger
 
 from insdvl.messages.feed import Feed
 from insdvl.messages.inputs import frame_id_of
-from insdvl.messages.make import fill_fix, fill_imu, fill_odometry, fill_twist
+from insdvl.messages.make import fill_fix, fill_imu, fill_innovation, fill_odometry
 from insdvl.messages.topics import GLOBAL_POSITION, Topic
 from insdvl.navigation.events import NS, Event, Measurement, ProcessNoise
 from insdvl.navigation.events import Imu as ImuSample
@@ -289,13 +289,9 @@ class FilterNode(InsdvlNode[FilterParameters]):
         self._watch.updated(update)
         if not report.accepted:
             self.reject(name, report.reason, f"{report.reason}: NIS {report.nis:.1f}")
-        nu, S = self._fold.filter.models[name].in_stream(report.innovation, report.S)
-        message = self._innovation_messages[name]
-        # One row, such as a depth, is along z.
-        rows = slice(3 - len(nu), 3)
-        innovation, covariance = np.zeros(3), np.zeros((3, 3))
-        innovation[rows], covariance[rows, rows] = nu, S
-        fill_twist(message, update.stamp_ns, innovation, covariance)
+        model, message = self._fold.filter.models[name], self._innovation_messages[name]
+        nu, S = model.in_stream(report.innovation, report.S)
+        fill_innovation(message, update.stamp_ns, nu, S, angles=model.angles)
         self._innovations[name].send(message)
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

@@ -22,7 +22,7 @@ class Simulator(Player[SimulatorParameters]):
     """Simulates the whole mission, then plays it.
 
     The stamps are start + k dt in integer nanoseconds. Messages of one stamp are sent in the order
-    IMU, odometry, process noise, DVL, depth.
+    IMU, odometry, process noise, DVL, depth, heading.
     """
 
     def __init__(self, **options: Any) -> None:

@@ -19,8 +19,11 @@ from starts import Start, starts
 
 from insdvl.messages import convert as messages
 from insdvl.messages.dvl import dvl
+from insdvl.messages.heading import heading
+from insdvl.messages.topics import HEADING
 from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.frames import CONVENTIONS
+from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import ParameterError, build
 from insdvl.simulation.mission import mission_of
 from insdvl.simulation.parameters import SimulatorParameters
@@ -103,6 +106,18 @@ def test_stamps_frames_and_counts(graph):
         "ground_truth/process_noise": {"base_link"},
     }
     assert {m.child_frame_id for m in received["ground_truth/odometry"]} == {"base_link"}
+
+
+def test_a_heading_sensor_is_published_where_its_rate_asks_for_it(graph):
+    graph.received[HEADING] = graph.keep(Imu, HEADING)
+    graph.play(**FAST, **{"heading.rate": 2.0}, start_stamp=100.0)
+    received = graph.take()[HEADING]
+    assert stamps(received) == [100 * NS + k * NS // 2 for k in range(1, 9)]
+    mission = mission_of(build(SimulatorParameters, {"duration": 4.0, "heading.rate": 2.0}))
+    found = [heading(message, FilterParameters(), (0.0, 0.0, 0.0)).C_n_b for message in received]
+    np.testing.assert_allclose(found, mission.attitude, atol=1e-12)
+    assert {m.header.frame_id for m in received} == {"base_link"}
+    assert {m.angular_velocity_covariance[0] for m in received} == {-1.0}
 
 
 @pytest.mark.parametrize("convention", ["enu", "ned"])

@@ -142,8 +142,11 @@ class Adversary:
     def _imu(self) -> Any:
         f = self._numbers(3, np.array([0.0, 0.0, 9.8]), 0.1)
         message = imu_message(0, "", f, self._numbers(3, 0.0, 0.03))
+        x, y, z, w = self._numbers(4, np.array([0.0, 0.0, 0.0, 1.0]), 1e-3).tolist()
         return replace(
             message,
+            orientation=replace(message.orientation, x=x, y=y, z=z, w=w),
+            orientation_covariance=self._covariance(3),
             linear_acceleration_covariance=self._covariance(3),
             angular_velocity_covariance=self._covariance(3),
         )

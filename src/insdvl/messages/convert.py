@@ -47,11 +47,13 @@ class RejectedMessage(ValueError):
 
     Attributes:
         reason: The word under which it is counted, see `insdvl.messages.refusals`.
+        measurement: Which of its events cannot be used, where the others can; empty for all.
     """
 
     def __init__(self, reason: str, detail: str) -> None:
         super().__init__(f"{reason}: {detail}")
         self.reason = reason
+        self.measurement = ""
 
 
 def stamp_ns(header: Any) -> int:

@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 from insdvl.messages.convert import RejectedMessage
 from insdvl.messages.inputs import Inputs
 from insdvl.messages.refusals import Refused
-from insdvl.navigation.events import Event
+from insdvl.messages.topics import IMU
+from insdvl.navigation.events import Event, Measurement
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.timeline.fold import Fold
 
@@ -33,7 +34,8 @@ class Feed:
     Attributes:
         inputs: The topics and their converters.
         fold: The filter's timeline; ``fold.take()`` gives what is to be published.
-        refused: Messages that are not used, by topic and reason.
+        refused: Messages that are not used, by topic and reason. A measurement in a message of the
+            IMU is refused by its own name: the sample may be used.
     """
 
     def __init__(
@@ -75,9 +77,11 @@ class Feed:
                 refusal = self.fold.add(event)
                 fed.append(Fed(event, refusal))
                 if refusal is not None:
-                    self._refuse(topic, refusal, f"{refusal}: stamp {event.stamp_ns} ns")
+                    of_imu = self.inputs.topics[topic].name == IMU
+                    where = event.name if of_imu and isinstance(event, Measurement) else topic
+                    self._refuse(where, refusal, f"{refusal}: stamp {event.stamp_ns} ns")
         except RejectedMessage as rejection:
-            self._refuse(topic, rejection.reason, str(rejection))
+            self._refuse(rejection.measurement or topic, rejection.reason, str(rejection))
         if len(self.fold.left) > times_left:  # a time jump
             self.inputs.reset()
         return fed

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from insdvl.arrays import Array
 from insdvl.navigation.events import NS
-from insdvl.navigation.geometry.frames import ENU, Convention
+from insdvl.navigation.geometry.frames import ENU
 
 #: Covariance of a quantity that a message does not carry (REP-145).
 NOT_MEASURED = np.array([-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
@@ -87,6 +87,22 @@ def fill_imu(
     set_vector(message.angular_velocity, w)
     message.angular_velocity_covariance = flat_covariance(Q_w, 3)
     message.orientation_covariance = NOT_MEASURED
+
+
+def fill_orientation(message: Any, stamp_ns: int, q_xyzw: ArrayLike, P_psi: ArrayLike) -> None:
+    """Fill a sensor_msgs/Imu with an orientation alone (REP-145).
+
+    Args:
+        message: The message.
+        stamp_ns: Stamp [ns].
+        q_xyzw: (4,) quaternion.
+        P_psi: (3, 3) covariance of the rotation [rad^2].
+    """
+    set_stamp(message, stamp_ns)
+    set_quaternion(message.orientation, q_xyzw)
+    message.orientation_covariance = flat_covariance(P_psi, 3)
+    message.linear_acceleration_covariance = NOT_MEASURED
+    message.angular_velocity_covariance = NOT_MEASURED
 
 
 def fill_variances(message: Any, variances: Sequence[float] | Array) -> None:
@@ -181,27 +197,25 @@ def fill_fix(message: Any, stamp_ns: int, place: Array, covariance: Array) -> No
 
 
 def fill_innovation(
-    message: Any, stamp_ns: int, innovation: Array, S: Array, convention: Convention
+    message: Any, stamp_ns: int, innovation: Array, S: Array, *, angles: bool = False
 ) -> None:
     """Fill a geometry_msgs/TwistWithCovarianceStamped with the innovation of a measurement.
 
-    The rows of the measurement are the first elements of the twist, and the others are zero. A
-    vector of three is in the axes of the stream. A component that was not measured has an infinite
+    Its rows are the last axes of the linear part, of a turn those of the angular one: a single row
+    is along or about z. All else is zero. A component that was not measured has an infinite
     variance.
 
     Args:
         message: The message.
         stamp_ns: Stamp [ns].
-        innovation: (m,) measured minus predicted, with m <= 6.
+        innovation: (m,) measured minus predicted, in the axes of the stream, with m <= 3.
         S: (m, m) its covariance.
-        convention: Axes of the stream.
+        angles: Whether the rows are turns.
     """
-    m = innovation.size
-    if m == 3:
-        signs = np.diagonal(convention.body)  # a rotation would make nan of an infinite variance
-        innovation, S = signs * innovation, signs[:, None] * S * signs
+    end = 6 if angles else 3
+    at = slice(end - innovation.size, end)
     rows, covariance = np.zeros(6), np.zeros((6, 6))
-    rows[:m], covariance[:m, :m] = innovation, S
+    rows[at], covariance[at, at] = innovation, S
     set_stamp(message, stamp_ns)
     set_vector(message.twist.twist.linear, rows[:3])
     set_vector(message.twist.twist.angular, rows[3:])

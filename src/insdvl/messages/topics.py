@@ -12,7 +12,8 @@ from operator import attrgetter
 from types import MappingProxyType
 from typing import Any
 
-from insdvl.messages import convert, depth, drivers, dvl
+from insdvl.messages import convert, depth, drivers, dvl, heading
+from insdvl.messages.convert import RejectedMessage
 from insdvl.navigation.events import Event, Initial
 from insdvl.navigation.geometry.frames import CONVENTIONS, Convention
 from insdvl.navigation.parameters import FilterParameters
@@ -28,6 +29,7 @@ PROCESS_NOISE = "process_noise"
 TRUE_PROCESS_NOISE = "ground_truth/process_noise"
 FIX = "gps/fix"
 DEPTH = "depth/pressure"
+HEADING = "heading/orientation"
 #: Of what the filter publishes, as replay and node do.
 GLOBAL_POSITION = "gps/filtered"
 
@@ -77,6 +79,8 @@ class Topic:
             ``depth.topic``; empty where the topic is always `name`.
         taken: Whether the filter with these parameters takes the topic.
         required: Why there is no result without the topic; empty where there is one.
+        joins: Name of the topic whose messages it may take as well, where a parameter names that:
+            one message then has the events of both.
         frames: Frame fields of the message, each with the filter's parameter that it must equal.
             A parameter that is empty accepts any frame, and a command may leave its frames empty.
         zero_stamp: What a stamp of zero means.
@@ -100,6 +104,7 @@ class Topic:
     parameter: str = ""
     taken: Callable[[FilterParameters], bool] = _always
     required: Callable[[FilterParameters], str] = _never
+    joins: str = ""
     frames: Mapping[str, str] = field(default_factory=lambda: _NO_FRAMES)
     zero_stamp: ZeroStamp = ZeroStamp.UNSET
     time_offset: str = ""
@@ -144,6 +149,19 @@ def _dvl(message: Any, parameters: FilterParameters) -> Iterator[Event]:
 
 def _depth(message: Any, parameters: FilterParameters) -> Iterator[Event]:
     yield depth.depth(message, _convention(parameters), parameters.depth)
+
+
+def _heading(message: Any, parameters: FilterParameters) -> Iterator[Event]:
+    yield heading.heading(message, parameters, parameters.heading.mount)
+
+
+def _imu_and_heading(message: Any, parameters: FilterParameters) -> Iterator[Event]:
+    yield from _imu(message, parameters)
+    try:
+        yield heading.heading(message, parameters, parameters.imu.mount)
+    except RejectedMessage as rejection:  # the sample is used
+        rejection.measurement = heading.Heading.name
+        raise
 
 
 def _process_noise(message: Any, parameters: FilterParameters) -> Iterator[Event]:
@@ -258,6 +276,18 @@ TOPICS: tuple[Topic, ...] = (
         frames=MappingProxyType({"header.frame_id": "depth.frame_id"}),
     ),
     Topic(
+        HEADING,
+        heading.TYPES,
+        _heading,
+        heading.REFUSALS,
+        measurement="heading",
+        parameter="heading.topic",
+        taken=lambda parameters: bool(parameters.heading.topic),
+        joins=IMU,
+        frames=MappingProxyType({"header.frame_id": "heading.frame_id"}),
+        time_offset="heading.time_offset",
+    ),
+    Topic(
         SET_ODOMETRY,
         (convert.ODOMETRY,),
         _set_odometry,
@@ -320,10 +350,18 @@ def taken(parameters: FilterParameters) -> dict[str, Topic]:
             continue
         name = topic.name_in(parameters)
         same = [other for other in found if other.lstrip("/") == name.lstrip("/")]
-        if same:
+        if same and topic.joins == found[same[0]].name:
+            found[same[0]] = _joined(found[same[0]], topic)
+        elif same:
             raise ParameterError(
                 f"parameter '{topic.parameter}' must be a topic of its own, got {name!r}: "
                 f"it is already used as {found[same[0]].parameter or found[same[0]].name}"
             )
-        found[name] = replace(topic, types=topic.types_in(parameters))
+        else:
+            found[name] = replace(topic, types=topic.types_in(parameters))
     return found
+
+
+def _joined(imu: Topic, sensor: Topic) -> Topic:
+    """The IMU's topic, whose messages have a measurement of a sensor as well."""
+    return replace(imu, convert=_imu_and_heading, measurement=sensor.measurement)

@@ -369,8 +369,10 @@ class Filter:
         w_ib_b: Array,
         share: Array | float,
         samples: Callable[[], Array] = lambda: _NO_SAMPLES,
-    ) -> UpdateReport:
+    ) -> UpdateReport | None:
         """Correct the state, which must be at the measurement's stamp.
+
+        None where the measurement is left out, since it comes too soon behind the one before it.
 
         Args:
             state: (1,) record.
@@ -382,11 +384,15 @@ class Filter:
         """
         s, model, gate = state[0], self.models[event.name], self._gates[event.name]
         memory, stamp_ns = s["gate"][event.name], event.stamp_ns
+        if stamp_ns - int(memory["judged_ns"]) < model.interval_ns:
+            return None
         reason = claims.refusal(memory, model, event)
         turn, linearised = self._turn(s, w_ib_b, share), None
         if not s["nav"]["initialised"]:
             if not reason and (velocity := model.velocity(event, turn)) is not None:
                 self.start.hear_velocity(s, stamp_ns, *velocity)
+            if not reason and (attitude := model.attitude(event)) is not None:
+                self.start.hear_attitude(s, stamp_ns, *attitude)
             reason = reason or "not_initialised"
         elif not reason or model.claims_rest(event):
             linearised = model.linearise(state, event, turn)

@@ -15,6 +15,7 @@ from insdvl.navigation.geometry.odom import MAX_FROM_ORIGIN, place_of
 from insdvl.navigation.measurements.base import SensorParameters
 from insdvl.navigation.measurements.depth import DepthParameters
 from insdvl.navigation.measurements.dvl import DvlParameters
+from insdvl.navigation.measurements.heading import HeadingParameters
 from insdvl.navigation.process_noise.parameters import ProcessNoiseParameters
 from insdvl.navigation.start.parameters import InitialParameters, OriginParameters
 from insdvl.parameters.declaration import ParameterError, check_frames, parameter
@@ -92,6 +93,7 @@ class FilterParameters:
     imu: ImuParameters = field(default_factory=ImuParameters)
     dvl: DvlParameters = field(default_factory=DvlParameters)
     depth: DepthParameters = field(default_factory=DepthParameters)
+    heading: HeadingParameters = field(default_factory=HeadingParameters)
     gate: GateParameters = field(default_factory=GateParameters)
     process_noise: ProcessNoiseParameters = field(default_factory=ProcessNoiseParameters)
     initial: InitialParameters = field(default_factory=InitialParameters)
@@ -115,13 +117,14 @@ class FilterParameters:
                 f"where there is a state_file, got {self.state_period!r}: before it "
                 "is written again the state would be too old to go on from"
             )
-        behind = self.imu.time_offset - self.dvl.time_offset
-        if behind > self.max_delay:
-            raise ParameterError(
-                f"parameter 'dvl.time_offset' must be at least imu.time_offset - max_delay "
-                f"({self.imu.time_offset - self.max_delay:g} s), got {self.dvl.time_offset!r}: "
-                "every measurement would be too late"
-            )
+        earliest = self.imu.time_offset - self.max_delay
+        for sensor in ("dvl", "heading"):
+            if (offset := getattr(self, sensor).time_offset) < earliest:
+                raise ParameterError(
+                    f"parameter '{sensor}.time_offset' must be at least imu.time_offset - "
+                    f"max_delay ({earliest:g} s), got {offset!r}: every measurement would be too "
+                    "late"
+                )
         interval = 1.0 / self.imu.rate
         if self.imu.max_gap <= interval:
             raise ParameterError(

@@ -9,6 +9,7 @@ from insdvl.arrays import Array
 from insdvl.navigation.geometry.frames import Convention, rotation_from_rpy
 from insdvl.parameters.declaration import ParameterError, lever_arm, mount, parameter
 from insdvl.simulation.motion import Truth
+from insdvl.simulation.noise import gauss_markov
 
 
 @dataclass(frozen=True)
@@ -79,13 +80,8 @@ class DvlModel:
         """
         white, markov, chance, directions = rng.spawn(4)
         errors = np.array(self.noise_std) * white.standard_normal((t.size, 3))
-        drive = markov.standard_normal((t.size, 3))
-        decay = np.exp(-1.0 / (self.rate * self.bias_time_constant))
-        bias = self.bias_std * drive[:1]
-        for k in range(t.size):
-            if k > 0:
-                bias = decay * bias + self.bias_std * np.sqrt(1.0 - decay**2) * drive[k]
-            errors[k] += bias.ravel()
+        step = 1.0 / (self.rate * self.bias_time_constant)
+        errors += gauss_markov(np.full(3, self.bias_std), step, t.size, markov)
         is_outlier = chance.random(t.size) < self.outlier_probability
         direction = directions.standard_normal((t.size, 3))
         direction *= self.outlier_size / np.linalg.norm(direction, axis=1, keepdims=True)

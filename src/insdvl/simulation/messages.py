@@ -10,8 +10,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from insdvl.messages.make import fill_imu, fill_odometry, fill_pressure, fill_twist, fill_variances
-from insdvl.messages.topics import DEPTH, DVL, IMU, TRUE_PROCESS_NOISE, TRUTH
+from insdvl.messages.make import (
+    fill_imu,
+    fill_odometry,
+    fill_orientation,
+    fill_pressure,
+    fill_twist,
+    fill_variances,
+)
+from insdvl.messages.topics import DEPTH, DVL, HEADING, IMU, TRUE_PROCESS_NOISE, TRUTH
 from insdvl.navigation.geometry.frames import ENU, Convention, quaternion_from_rotation
 from insdvl.simulation.mission import Mission
 from insdvl.simulation.motion import Truth
@@ -48,7 +55,7 @@ class StreamFormat:
         dvl: frame_id of the DVL.
         depth: frame_id of the depth sensor.
         odom: frame_id of the truth.
-        base: child_frame_id of the truth.
+        base: child_frame_id of the truth, and frame_id of the heading sensor.
         start_ns: Added to all stamps.
         with_variances: Whether each sample of the IMU has its true variances; else zeros (unknown).
     """
@@ -67,20 +74,22 @@ DEFAULT = StreamFormat()
 
 
 def topics_of(mission: Mission) -> tuple[str, ...]:
-    """The topics of a mission; that of the depth only where there is a sensor."""
-    return (*PUBLISHED, DEPTH) if mission.depth_stamps_ns.size else PUBLISHED
+    """The topics of a mission; those of depth and heading only where there is a sensor."""
+    sensors = ((DEPTH, mission.depth_stamps_ns), (HEADING, mission.heading_stamps_ns))
+    return (*PUBLISHED, *(topic for topic, stamps_ns in sensors if stamps_ns.size))
 
 
 def mission_messages(
     mission: Mission, new: NewMessage, form: StreamFormat = DEFAULT
 ) -> Iterator[Timed]:
-    """All messages by their stamps; of one stamp as IMU, truth, process noise, DVL, depth."""
+    """All messages by their stamps; of one stamp in the order in which they stand here."""
     return heapq.merge(
         imu_messages(mission, new, form),
         truth_messages(mission, new, form),
         process_noise_messages(mission, new, form),
         dvl_messages(mission, new, form),
         depth_messages(mission, new, form),
+        heading_messages(mission, new, form),
         key=lambda timed: timed.time_ns,
     )
 
@@ -129,6 +138,21 @@ def depth_messages(
         message.header.frame_id = form.depth
         fill_pressure(message, stamp_ns, pressure)
         yield Timed(stamp_ns, DEPTH, message)
+
+
+def heading_messages(
+    mission: Mission, new: NewMessage, form: StreamFormat = DEFAULT
+) -> Iterator[Timed]:
+    """The measurements of the heading sensor, in its own axes those of base_link."""
+    nav = form.convention.nav
+    covariance = nav @ np.diag(mission.heading.variances) @ nav.T
+    stamps = (mission.heading_stamps_ns + form.start_ns).tolist()
+    quaternions = quaternion_from_rotation(form.convention.attitude(mission.attitude))
+    for stamp_ns, q_xyzw in zip(stamps, quaternions, strict=True):
+        message = new(HEADING)
+        message.header.frame_id = form.base
+        fill_orientation(message, stamp_ns, q_xyzw, covariance)
+        yield Timed(stamp_ns, HEADING, message)
 
 
 def truth_messages(

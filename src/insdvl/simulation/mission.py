@@ -1,4 +1,4 @@
-"""A whole mission: truth, IMU, DVL and depth of one vehicle and one seed."""
+"""A whole mission: truth, IMU, DVL, depth and heading of one vehicle and one seed."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -12,6 +12,7 @@ from insdvl.navigation.geometry.frames import CONVENTIONS
 from insdvl.parameters.declaration import ParameterError
 from insdvl.simulation.depth import DepthModel, ideal_pressure, pressure_noise
 from insdvl.simulation.dvl import DvlModel, ideal_velocity
+from insdvl.simulation.heading import HeadingModel, attitudes
 from insdvl.simulation.imu import ImuModel, biases, ideal_imu, white_noise
 from insdvl.simulation.motion import Trajectory, Truth
 from insdvl.simulation.noise import NoiseProfile, ProfileFactory, chosen_profile
@@ -44,6 +45,9 @@ class Mission:
         dvl_outlier: (M,) which DVL readings are outliers.
         depth_stamps_ns: (D,) stamps of the depth sensor; none without one.
         pressure: (D,) its readings [Pa].
+        heading_stamps_ns: (H,) stamps of the heading sensor; none without one.
+        attitude: (H, 3, 3) its readings C_n_b.
+        heading: The heading sensor.
     """
 
     start_ns: int
@@ -60,6 +64,9 @@ class Mission:
     dvl_outlier: NDArray[np.bool_]
     depth_stamps_ns: Stamps
     pressure: Array
+    heading_stamps_ns: Stamps
+    attitude: Array
+    heading: HeadingModel
 
     def process_noise(self, every_ns: int = NS) -> tuple[Stamps, Array]:
         """Stamps (K,) and the variances (K, 6) that apply from each stamp on.
@@ -76,6 +83,7 @@ class Mission:
 DEFAULT_IMU = ImuModel()
 DEFAULT_DVL = DvlModel()
 DEFAULT_DEPTH = DepthModel()
+DEFAULT_HEADING = HeadingModel()
 
 
 def _stamps(duration: float, rate: float) -> Stamps:
@@ -109,6 +117,7 @@ def simulate(
     imu: ImuModel = DEFAULT_IMU,
     dvl: DvlModel = DEFAULT_DVL,
     depth: DepthModel = DEFAULT_DEPTH,
+    heading: HeadingModel = DEFAULT_HEADING,
     earth_rate: bool = True,
     start_ns: int = 0,
 ) -> Mission:
@@ -126,6 +135,7 @@ def simulate(
         imu: The IMU.
         dvl: The DVL, with mount and lever arm in forward-right-down.
         depth: The depth sensor, with its lever arm in forward-right-down.
+        heading: The heading sensor.
         earth_rate: See `Trajectory.truth`.
         start_ns: Stamp of the start.
 
@@ -139,7 +149,8 @@ def simulate(
             f"duration must be within {1.0 / imu.rate:g} to {trajectory.duration:g} s, "
             f"got {duration!r}"
         )
-    profile_rng, noise_rng, bias_rng, dvl_rng, depth_rng = np.random.default_rng(seed).spawn(5)
+    streams = np.random.default_rng(seed).spawn(6)
+    profile_rng, noise_rng, bias_rng, dvl_rng, depth_rng, heading_rng = streams
     dt = 1.0 / imu.rate
     elapsed_ns, truth, f_b, w_ib_b = _clean(trajectory, duration, imu.rate, earth_rate)
 
@@ -165,6 +176,9 @@ def simulate(
     dives = trajectory.truth(np.minimum(depth_ns / NS, duration), earth_rate=earth_rate)
     pressure = ideal_pressure(dives, depth)
     pressure += pressure_noise(depth, trajectory.lat_0, depth_ns.size, depth_rng)
+
+    heading_ns = _stamps(duration, heading.rate)
+    faced = trajectory.truth(np.minimum(heading_ns / NS, duration), earth_rate=earth_rate)
     return Mission(
         start_ns=start_ns,
         initial=trajectory.truth(np.zeros(1), earth_rate=earth_rate),
@@ -180,6 +194,9 @@ def simulate(
         dvl_outlier=is_outlier[seen],
         depth_stamps_ns=start_ns + depth_ns,
         pressure=pressure,
+        heading_stamps_ns=start_ns + heading_ns,
+        attitude=attitudes(faced, heading, heading_rng),
+        heading=heading,
     )
 
 
@@ -208,6 +225,7 @@ def mission_of(parameters: SimulatorParameters) -> Mission:
             imu=imu,
             dvl=parameters.dvl.in_frd(CONVENTIONS[parameters.frame_convention]),
             depth=parameters.depth.in_frd(CONVENTIONS[parameters.frame_convention]),
+            heading=parameters.heading,
             earth_rate=parameters.earth_rate,
         )
     except ValueError as error:

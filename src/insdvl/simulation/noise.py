@@ -148,6 +148,25 @@ def from_file(path: Path) -> ProfileFactory:
     return lambda duration, rng: profile
 
 
+def gauss_markov(std: Array, step: float, size: int, rng: np.random.Generator) -> Array:
+    """First-order Gauss-Markov processes (size, m) at equally spaced times, stationary.
+
+    Args:
+        std: (m,) sigma of each.
+        step: From one time to the next, in correlation times.
+        size: Number of times.
+        rng: Of the draws; a longer process begins as the shorter one.
+    """
+    drive = rng.standard_normal((size, std.size))
+    decay = np.exp(-step)
+    found, now = np.empty((size, std.size)), std * drive[:1]
+    for k in range(size):
+        if k > 0:
+            now = decay * now + std * np.sqrt(1.0 - decay**2) * drive[k]
+        found[k] = now.ravel()
+    return found
+
+
 #: The scenarios of the evaluation.
 SCENARIOS: Mapping[str, ProfileFactory] = MappingProxyType(
     {

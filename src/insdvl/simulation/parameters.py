@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from insdvl.parameters.declaration import check_frames, parameter
 from insdvl.simulation.depth import DepthModel
 from insdvl.simulation.dvl import DvlModel
+from insdvl.simulation.heading import HeadingModel
 from insdvl.simulation.imu import ImuModel
 from insdvl.simulation.noise import NoiseParameters
 from insdvl.simulation.trajectories import NAMES
@@ -66,6 +67,7 @@ class SimulatorParameters:
     imu: ImuModel = field(default_factory=ImuModel)
     dvl: DvlModel = field(default_factory=DvlModel)
     depth: DepthModel = field(default_factory=DepthModel)
+    heading: HeadingModel = field(default_factory=HeadingModel)
 
     def __post_init__(self) -> None:
         check_frames(self.odom_frame, self.base_frame)

@@ -33,11 +33,13 @@ _SOURCES = {
     automatic.IMU: "from the orientation in imu/data_raw",
     automatic.GYROCOMPASS: "by gyrocompassing",
     automatic.KEPT: "kept over the reset",
+    automatic.SENSOR: "from heading.topic",
 }
 #: What tells a heading that is unknown.
 REMEDY = (
-    "set initial.mode:=topic where initial.topic ({topic}) has it, initial.heading:=parameters "
-    "where the yaw of initial.rpy is right, or publish set_odometry"
+    "set initial.mode:=topic where initial.topic ({topic}) has it, heading.topic where a compass "
+    "has it, initial.heading:=parameters where the yaw of initial.rpy is right, or publish "
+    "set_odometry"
 )
 
 

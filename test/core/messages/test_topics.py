@@ -14,7 +14,17 @@ from insdvl.messages.convert import ODOMETRY
 from insdvl.messages.drivers import DRIVERS
 from insdvl.messages.feed import Feed
 from insdvl.messages.inputs import Inputs
-from insdvl.messages.topics import BY_NAME, DEPTH, DVL, IMU, TOPICS, TRUTH, ZeroStamp, taken
+from insdvl.messages.topics import (
+    BY_NAME,
+    DEPTH,
+    DVL,
+    HEADING,
+    IMU,
+    TOPICS,
+    TRUTH,
+    ZeroStamp,
+    taken,
+)
 from insdvl.navigation.measurements.base import SensorParameters
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.start.parameters import _NO_INITIAL_TOPIC
@@ -26,6 +36,7 @@ ALL = {
     "origin.source": "topic",
     "imu.frame_id": "imu_link",
     "depth.topic": DEPTH,
+    "heading.topic": HEADING,
 }
 
 
@@ -72,13 +83,15 @@ def test_the_initial_topic_is_none_that_has_another_use() -> None:
         ({"process_noise.source": "message"}, set()),
         ({"origin.source": "topic"}, {topics.FIX}),
         ({"depth.topic": "bar30/pressure"}, {"bar30/pressure"}),
+        ({"heading.topic": "compass/heading"}, {"compass/heading"}),
+        ({"heading.topic": "/imu/data_raw"}, set()),
     ],
 )
 def test_what_is_taken_follows_from_the_parameters(values: dict[str, Any], more: set[str]) -> None:
     always = {IMU, DVL, topics.DVL_WITH_COVARIANCE, topics.SET_ODOMETRY}
     inputs = Inputs(build(FilterParameters, values))
     assert set(inputs.topics) == always | more
-    assert set(inputs.required) == more - {"bar30/pressure"}
+    assert set(inputs.required) == more - {"bar30/pressure", "compass/heading"}
     assert inputs.initial_topic == next((name for name in more if "mode" in str(values)), None)
 
 

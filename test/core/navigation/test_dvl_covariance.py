@@ -12,7 +12,6 @@ from insdvl.messages.make import fill_innovation
 from insdvl.navigation import kalman
 from insdvl.navigation.error_state import ATTITUDE, VELOCITY
 from insdvl.navigation.filter import Filter
-from insdvl.navigation.geometry.frames import ENU
 from insdvl.navigation.measurements.base import Turn
 from insdvl.navigation.measurements.dvl import Dvl, DvlModel
 from insdvl.navigation.parameters import (
@@ -227,7 +226,7 @@ def test_an_innovation_is_published_without_nan() -> None:
     of = SimpleNamespace
     twist = of(linear=of(), angular=of())
     message = of(header=of(stamp=of()), twist=of(twist=twist))
-    fill_innovation(message, 0, np.array([1.0, 0.0, 2.0]), S, ENU)
+    fill_innovation(message, 0, innovation, S_stream)
     np.testing.assert_array_equal(message.twist.covariance.reshape(6, 6)[:3, :3], S_stream)
 
 

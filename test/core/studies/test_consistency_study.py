@@ -20,7 +20,14 @@ from insdvl.navigation.events import Initial
 from insdvl.navigation.filter import Filter
 from insdvl.navigation.measurements.dvl import DvlParameters
 from insdvl.simulation.motion import Truth
-from insdvl.studies.consistency import gyrocompassing, outage, position, sensitivity, table
+from insdvl.studies.consistency import (
+    gyrocompassing,
+    heading,
+    outage,
+    position,
+    sensitivity,
+    table,
+)
 from insdvl.studies.consistency.command import documents
 from insdvl.studies.consistency.errors import ALL, BLOCKS, Flown, band, errors, nees
 from insdvl.studies.consistency.flights import flown, parameters
@@ -143,6 +150,7 @@ def test_the_page_in_docs_is_the_one_of_its_numbers() -> None:
     assert len(found["outage"]["rows"]) == len(outage.HEADINGS)
     rows = [row["row"] for row in found["gyrocompassing"]["rows"]]
     assert rows == list(gyrocompassing.rows())
+    assert [row["row"] for row in found["heading"]["rows"]] == list(heading.rows())
 
 
 @pytest.fixture
@@ -160,6 +168,8 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     left = {name: replace(case, duration=62.0) for name, case in gyrocompassing.rows().items()}
     pair = dict([*left.items()][:3:2])  # the heading is found in one of them
     monkeypatch.setattr(gyrocompassing, "rows", lambda *, quick=False: pair)
+    monkeypatch.setattr(heading, "PATROL", replace(heading.PATROL, duration=12.0))
+    monkeypatch.setattr(heading, "FIRST", 5)
     grades = {"fog": table.GRADES["fog"]}
     monkeypatch.setattr(sensitivity, "GRADES", grades)
     monkeypatch.setattr(sensitivity, "DURATION", 3.0)
@@ -190,6 +200,9 @@ def test_the_command_writes_page_and_numbers(tmp_path: Path) -> None:
     still, moved = studies["gyrocompassing"]["rows"]
     assert (still["found"], moved["found"]) == (2, 0)
     assert still["heading_sigma_deg"] < 0.2 < moved["heading_sigma_deg"]
+    told, without = studies["heading"]["rows"]
+    assert told["rms"]["sigma"][0] < 2.0 < 9.0 < without["rms"]["sigma"][0]
+    assert studies["heading"]["reduced_sigma_deg"] == pytest.approx(1.3, rel=0.2)
     assert [path.name for path in (tmp_path / "a").iterdir() if path.is_dir()] == []
 
     # The same seed gives the same numbers; a single study keeps those of the others.

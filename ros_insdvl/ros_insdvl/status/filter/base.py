@@ -1,6 +1,6 @@
 """What a cause of the filter may see, and what it gives."""
 
-from math import inf
+from math import degrees, inf
 
 import numpy as np
 
@@ -62,6 +62,11 @@ class Published:
     def height_sigma(self) -> float:
         """Sigma of the height in the last output [m]."""
         return inf if self.last is None else float(np.sqrt(self.last.pose_covariance[2, 2]))
+
+    @property
+    def heading_sigma_deg(self) -> float:
+        """Sigma of the heading in the last output [deg]."""
+        return inf if self.last is None else degrees(np.sqrt(self.last.pose_covariance[5, 5]))
 
     @property
     def velocity_sigma(self) -> float:

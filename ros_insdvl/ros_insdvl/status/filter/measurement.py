@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from insdvl.messages.topics import IMU
 from insdvl.navigation.events import NS
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.output import AppliedUpdate
@@ -47,11 +48,8 @@ class MeasurementCause(Cause):
         self._fold = fold
         self._published = published
         model = fold.filter.models[name]
-        self._label, self._tells_velocity, self._rows = (
-            model.label,
-            model.tells_velocity,
-            model.rows,
-        )
+        self._label, self._rows = model.label, model.rows
+        self._tells_velocity, self._angles = model.tells_velocity, model.angles
         self._updates: Counter[str] = Counter()
         self._not_measured: Counter[str] = Counter()  # components
         self.reset()
@@ -77,7 +75,8 @@ class MeasurementCause(Cause):
         reasons = [r.reason for r in view.rejected.total if r.topic == self._name]
         told = [reason for reason in reasons if reason not in self._ignored(view)]
         view.report_refused(status, [self._name], told)
-        view.report_refused(status, [topic for topic in self._topics if topic in view.silence])
+        topics = (topic for topic in self._topics if topic in view.silence and topic != IMU)
+        view.report_refused(status, topics)  # on the topic of the IMU it is the samples
         self._report_outage(status, view)
         recoveries = _RECOVERIES if self._tells_velocity else {}
         for name, what in recoveries.items():
@@ -120,6 +119,8 @@ class MeasurementCause(Cause):
         sigma = f"the height's sigma is {self._published.height_sigma:.2f} m"
         if self._tells_velocity:
             sigma = f"the velocity's sigma is {self._published.velocity_sigma:.2f} m/s"
+        elif self._angles:
+            sigma = f"the heading's sigma is {self._published.heading_sigma_deg:.2g} deg"
         status.complain(
             ERROR if outage_ns > LOST_NS else WARN,
             "outage",

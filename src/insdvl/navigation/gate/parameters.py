@@ -21,9 +21,9 @@ class GateParameters:
         "If a sensor is rejected without a break for this time (in stamps), or for as long as it "
         "has agreed with the filter before if that is shorter (at most 5 s if the filter itself "
         "may be wrong), the filter gives in: the covariance is inflated, of velocity for the DVL "
-        "(and of tilt, if the filter may have drifted), of the height for a depth sensor. A sensor "
-        "that had jumped stays in doubt for this time. After twice the time the state is restarted "
-        "from the measurement.",
+        "(and of tilt, if the filter may have drifted), of the height for a depth sensor, of the "
+        "attitude for a heading sensor. A sensor that had jumped stays in doubt for this time. "
+        "After twice the time the state is restarted from the measurement.",
         unit="s",
         above=0.0,
         high=3600.0,

@@ -137,13 +137,20 @@ class SensorModel(ABC, Generic[_Event]):
         rows: Number of rows m.
         tells_velocity: Whether it tells velocity and, with the IMU, tilt: an adaptive process noise
             learns from it, and the doubt about IMU channels starts again with it.
+        absolute: Whether it tells heading or position against the Earth: what it corrects there
+            moves map -> odom, not odom.
+        angles: Whether its rows are turns about the last axes of the stream, x, y, z.
         turn_window_ns: Time before it that its turn rate is taken from; 0 takes one sample.
+        interval_ns: A measurement that follows the last judged one sooner is left out.
     """
 
     label: ClassVar[str]
     rows: ClassVar[int]
     tells_velocity: ClassVar[bool] = False
+    absolute: ClassVar[bool] = False
+    angles: ClassVar[bool] = False
     turn_window_ns: int = 0
+    interval_ns: int = 0
 
     @abstractmethod
     def reading(self, event: _Event) -> Array:
@@ -167,6 +174,13 @@ class SensorModel(ABC, Generic[_Event]):
 
     def velocity(self, event: _Event, turn: Turn) -> tuple[Array, Array] | None:
         """Velocity (3,) of base_link in body axes and its covariance, without any state.
+
+        None where the measurement does not tell it.
+        """
+        return None
+
+    def attitude(self, event: _Event) -> tuple[Array, float] | None:
+        """C_n_b (3, 3), of which the heading is told, and one sigma of that [rad].
 
         None where the measurement does not tell it.
         """

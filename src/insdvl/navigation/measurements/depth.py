@@ -133,7 +133,7 @@ class DepthParameters(SensorParameters):
     EVENT = Depth
     ROOM: ClassVar[Mapping[str, int]] = {"surface": 1}
     REMEDIES: ClassVar[Mapping[str, str]] = {
-        "frozen": "the depth sensor repeats one number: its driver or its cable has stopped",
+        "frozen": "the sensor repeats one reading: its driver or its cable has stopped",
         "in_air": "the pressure is that of air: the sensor is out of the water, its unit is not "
         "Pa, or depth.atmospheric_pressure is not that of the sensor (0 for a gauge)",
     }

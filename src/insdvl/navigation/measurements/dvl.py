@@ -30,7 +30,7 @@ from insdvl.navigation.geometry.rotation import (
     rotate_back,
     skew,
 )
-from insdvl.navigation.measurements import claims
+from insdvl.navigation.measurements import claims, noise
 from insdvl.navigation.measurements.base import (
     Block,
     Linearised,
@@ -131,7 +131,7 @@ class DvlParameters(SensorParameters):
         "Whose noise a measurement has: that of the message with at least noise_floor in each "
         "component, that of the message as it is, or always noise_std. Where the message tells no "
         "covariance, or -1 or 0 for a component, it is noise_std.",
-        choices=("largest", "message", "parameters"),
+        choices=noise.CHOICES,
     )
     noise_std: tuple[float, ...] = parameter(
         (0.1, 0.1, 0.1),
@@ -270,17 +270,8 @@ class DvlModel(SensorModel[Dvl]):
 
     def noise(self, event: Dvl) -> Array:
         """Covariance (3, 3) of one measurement's noise, as ``dvl.covariance`` has it [(m/s)^2]."""
-        parameters, R = self._parameters, event.R
-        if R is None or parameters.covariance == "parameters":
-            return self._R
-        variance = np.diagonal(R)
-        unknown = variance == 0.0
-        if parameters.covariance == "largest":
-            raised = (variance > 0.0) & (variance < parameters.noise_floor**2)
-            factor = np.ones(3)
-            factor[raised] = parameters.noise_floor / np.sqrt(variance[raised])
-            R = factor[:, None] * R * factor
-        return np.where(unknown[:, None] | unknown, self._R, R) if unknown.any() else R
+        parameters = self._parameters
+        return noise.chosen(event.R, self._R, parameters.noise_floor, parameters.covariance)
 
     def claims_rest(self, event: Dvl) -> bool:
         """Exact zeros: no bottom lock, or a vehicle at rest."""

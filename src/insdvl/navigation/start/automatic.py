@@ -23,7 +23,9 @@ from insdvl.navigation.start.rest import Attitude, Window
 from insdvl.navigation.state import NEVER, Constants, State
 
 # Where the heading is from, as it stands in the record; TOLD is an initial state of other modes.
-TOLD, PARAMETERS, IMU, GYROCOMPASS, KEPT, UNKNOWN = range(6)
+TOLD, PARAMETERS, IMU, GYROCOMPASS, KEPT, UNKNOWN, SENSOR = range(7)
+#: Of those that are heard of, the better one stays.
+_RANK = {IMU: 0, SENSOR: 1, KEPT: 2}
 
 #: One sigma of a heading of which nothing is known [rad]: that of a uniform one.
 UNKNOWN_HEADING = math.radians(100.0)
@@ -111,7 +113,8 @@ class Automatic:
     def hear_heading(self, s: State, stamp_ns: int, C_n_b: Array, std: float, source: int) -> None:
         """An attitude (3, 3) whose heading is known to one sigma [rad], at a stamp."""
         start = s["start"]
-        if source == IMU and start["told_by"] == KEPT:
+        known = start["told_ns"] != NEVER
+        if known and _RANK[source] < _RANK[int(start["told_by"])]:
             return
         start["told_C"], start["told_std"] = C_n_b, std
         start["told_ns"], start["told_by"] = stamp_ns, source
@@ -197,8 +200,10 @@ class Automatic:
         start, choice = s["start"], self._parameters.heading
         std = float(start["told_std"])
         known = start["told_ns"] != NEVER and std < UNKNOWN_HEADING
-        if known and self._is_upright(start["told_C"], window):
-            return _Heading(int(start["told_by"]), std, start["told_C"].copy())
+        # A sensor that tells the yaw only has no tilt to compare.
+        source = int(start["told_by"])
+        if known and (source == SENSOR or self._is_upright(start["told_C"], window)):
+            return _Heading(source, std, start["told_C"].copy())
         if choice == "imu":
             return None
         if choice == "parameters":
@@ -253,7 +258,8 @@ class Automatic:
         if heading.source in (IMU, KEPT):
             C = _upright(heading.C_n_b @ half.T, mean[:3])
         else:
-            yaw = math.atan2(heading.C_n_b[1, 0], heading.C_n_b[0, 0])
+            told = heading.C_n_b @ half.T if heading.source == SENSOR else heading.C_n_b
+            yaw = math.atan2(told[1, 0], told[0, 0])
             C = rotation_from_rpy(np.array([*gyrocompass.level(mean[:3]), yaw]))
         unseen = self._constants["gap_f"] if moves else rest.UNSEEN_ACCELERATION
         P_b = noise.of_biases()
@@ -261,7 +267,7 @@ class Automatic:
         J = np.zeros((3, 6))
         J[:2] = gyrocompass.jacobian(C, nav["lat_0"], nav["h_0"])[:2]
         std = heading.std
-        if heading.source == PARAMETERS:
+        if heading.source in (PARAMETERS, SENSOR):
             J[2] = levelled_jacobian(C) @ J[:2]
             of_roll = math.sqrt(J[2, :3] @ (P_b[:3, :3] + P_f) @ J[2, :3])
             if of_roll > UNKNOWN_HEADING:  # the nose is vertical: the yaw tells no direction

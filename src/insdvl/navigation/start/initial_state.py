@@ -180,6 +180,8 @@ class Start:
             P[at, at] = np.diag(np.square(block.std))
             if block.initial:
                 nav["optional"][vehicle.optional(block.name)] = block.initial
+        if found is not None and s["start"]["heading_from"] == automatic.SENSOR:
+            self._correlate(P)
         x_n = coordinates.from_reference(nav)
         T = coordinates.from_ordinary_errors(
             C,
@@ -206,6 +208,12 @@ class Start:
         # What a channel has not shown before is in the initial state.
         imu["unseen_ns"], imu["equal_ns"] = NEVER, np.maximum(imu["equal_ns"], stamp_ns)
         return True
+
+    def _correlate(self, P: Array) -> None:
+        """The slow error of the sensor that has told the heading is in the heading."""
+        error, heading = self._vehicle.blocks.get("heading_error"), ATTITUDE.stop - 1
+        if error is not None:
+            P[heading, error] = P[error, heading] = -P[error, error][0]
 
     def _bias(self, values: tuple[float, ...]) -> Array:
         """A bias of the parameters, in IMU axes of their convention, in base_link axes (3,)."""
@@ -243,6 +251,11 @@ class Start:
         """A DVL has told the velocity (3,) of base_link in body axes, and its covariance."""
         if self._parameters.mode == "auto":
             self._automatic.hear_velocity(s, stamp_ns, v_b, P)
+
+    def hear_attitude(self, s: State, stamp_ns: int, C_n_b: Array, std: float) -> None:
+        """A heading sensor has told an attitude (3, 3), and one sigma of its heading [rad]."""
+        if self._parameters.takes_orientation:
+            self._automatic.hear_heading(s, stamp_ns, C_n_b, std, automatic.SENSOR)
 
     def keep(self, s: State, known: Initial) -> bool:
         """Keep heading and position from before a reset, with their covariance; whether it does.

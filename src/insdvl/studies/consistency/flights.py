@@ -13,20 +13,23 @@ import numpy as np
 from scipy.stats import chi2
 
 from insdvl.arrays import Array
+from insdvl.messages.topics import HEADING
 from insdvl.navigation.channels import ImuParameters
 from insdvl.navigation.error_state import HORIZONTAL_POSITION
 from insdvl.navigation.events import Event, Initial
 from insdvl.navigation.gate.parameters import GateParameters
 from insdvl.navigation.geometry.odom import place_of
 from insdvl.navigation.measurements.dvl import Dvl, DvlParameters
+from insdvl.navigation.measurements.heading import Heading, HeadingParameters
 from insdvl.navigation.odometry import odometry
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.process_noise.parameters import ProcessNoiseParameters
 from insdvl.navigation.start.parameters import InitialParameters, OriginParameters
 from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.grades import Grade
+from insdvl.simulation.heading import HeadingModel
 from insdvl.simulation.initial_errors import drawn_initial
-from insdvl.simulation.mission import Mission, simulate
+from insdvl.simulation.mission import DEFAULT_HEADING, Mission, simulate
 from insdvl.simulation.motion import Channel, Ramp, Trajectory, Truth, Wave
 from insdvl.simulation.noise import constant
 from insdvl.studies.consistency.errors import Flown, errors, heading_deg, heading_sigma_deg
@@ -105,6 +108,7 @@ class Case:
         trajectory: The motion.
         latitude_deg: Of the origin of odom.
         silence: Of the DVL, from begin to end [s].
+        heading: The heading sensor; by default there is none.
     """
 
     grade: Grade
@@ -120,6 +124,7 @@ class Case:
     trajectory: Trajectory = TRANSIT
     latitude_deg: float = math.degrees(TRANSIT.lat_0)
     silence: tuple[float, float] = (0.0, 0.0)
+    heading: HeadingModel = DEFAULT_HEADING
 
     @property
     def origin(self) -> Array:
@@ -170,6 +175,7 @@ def parameters(case: Case) -> FilterParameters:
         earth_rate=case.earth_rate,
         imu=ImuParameters(rate=RATE),
         dvl=DvlParameters(noise_std=(case.dvl_std,) * 3),
+        heading=_heading_parameters(case.heading),
         gate=GateParameters(enabled=False),
         process_noise=process_noise_of(grade),
         initial=InitialParameters(
@@ -184,6 +190,21 @@ def parameters(case: Case) -> FilterParameters:
             longitude_deg=math.degrees(TRANSIT.lon_0),
             height=TRANSIT.h_0,
         ),
+    )
+
+
+def _heading_parameters(sensor: HeadingModel) -> HeadingParameters:
+    """What the filter is told of a heading sensor: its true parameters."""
+    if sensor.rate == 0.0:
+        return HeadingParameters()
+    return HeadingParameters(
+        topic=HEADING,
+        covariance="parameters",
+        noise_std=sensor.noise_std,
+        roll_pitch_std=sensor.roll_pitch_std,
+        error_std=sensor.error_std,
+        error_time_constant=sensor.error_time_constant,
+        interval=0.0,
     )
 
 
@@ -202,6 +223,7 @@ def mission_of(case: Case, seed: int) -> Mission:
         duration=case.duration,
         imu=case.grade.imu(RATE),
         dvl=DvlModel(rate=case.dvl_rate, noise_std=(case.dvl_std,) * 3, outages=case.silence),
+        heading=case.heading,
         earth_rate=case.earth_rate,
     )
     truth, initial = (part.in_odom_at(case.origin) for part in (mission.truth, mission.initial))
@@ -215,22 +237,27 @@ def folded(
     *,
     from_start: bool = False,
 ) -> Flown:
-    """The filter in a mission, with its DVL and with further events.
+    """The filter in a mission, with its DVL and heading sensor, and with further events.
 
     Args:
         mission: The mission.
         settings: Of the filter.
-        events: All but IMU and DVL.
+        events: All but those of IMU, DVL and heading sensor.
         from_start: Whether the states that are kept are the first of the initialised filter and
             those of each second from there on; otherwise those of every full second.
     """
     pings = zip(mission.dvl_stamps_ns.tolist(), mission.v_d, strict=True)
+    turns = zip(mission.heading_stamps_ns.tolist(), mission.attitude, strict=True)
     result = fold_arrays(
         settings,
         mission.stamps_ns,
         mission.f_b,
         mission.w_ib_b,
-        [*(Dvl(stamp_ns, v_d) for stamp_ns, v_d in pings), *events],
+        [
+            *(Dvl(stamp_ns, v_d) for stamp_ns, v_d in pings),
+            *(Heading(stamp_ns, C_n_b) for stamp_ns, C_n_b in turns),
+            *events,
+        ],
     )
     second = round(RATE)
     first = second - 1

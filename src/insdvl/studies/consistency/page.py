@@ -4,13 +4,21 @@ from collections.abc import Mapping
 from typing import Any
 
 from insdvl.studies.consistency.gyrocompassing import GYROCOMPASSING_STUDY
+from insdvl.studies.consistency.heading import HEADING_STUDY
 from insdvl.studies.consistency.outage import OUTAGE_STUDY
 from insdvl.studies.consistency.position import POSITION_STUDY
 from insdvl.studies.consistency.sensitivity import SENSITIVITY_STUDY
 from insdvl.studies.consistency.table import BLOCK_STUDY
 
 #: The sections of the page, in their order.
-STUDIES = (BLOCK_STUDY, POSITION_STUDY, OUTAGE_STUDY, GYROCOMPASSING_STUDY, SENSITIVITY_STUDY)
+STUDIES = (
+    BLOCK_STUDY,
+    POSITION_STUDY,
+    OUTAGE_STUDY,
+    GYROCOMPASSING_STUDY,
+    HEADING_STUDY,
+    SENSITIVITY_STUDY,
+)
 
 
 def consistency_page(studies: Mapping[str, Any]) -> str:

@@ -82,6 +82,17 @@ def pressure(change: Callable[[float], float]) -> Edit:
     return lambda message: replace(message, fluid_pressure=change(message.fluid_pressure))
 
 
+def orientation(change: Callable[[Array], Array]) -> Edit:
+    """Change the quaternion (4,), x, y, z, w, of an Imu."""
+
+    def edit(message: Any) -> Any:
+        q = message.orientation
+        x, y, z, w = change(np.array([q.x, q.y, q.z, q.w])).tolist()
+        return replace(message, orientation=replace(q, x=x, y=y, z=z, w=w))
+
+    return edit
+
+
 def covariance(Q: Array) -> Edit:
     """Set both covariances (3, 3) of an Imu."""
     fields = {f"{name}_covariance": Q.ravel() for name in (FORCE, RATE)}

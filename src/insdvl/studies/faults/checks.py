@@ -186,20 +186,29 @@ def covered(least: float = 0.95) -> Check:
 
 def height_covered() -> Check:
     """The height's sigma covers its error, from the beginning of the fault on."""
+    return _covered_by("height")
 
+
+def heading_covered() -> Check:
+    """The heading's sigma covers its error, from the beginning of the fault on."""
+    return _covered_by("heading")
+
+
+def _covered_by(name: str) -> Check:
     def judge(pairs: Pairs) -> tuple[str, bool]:
         ratios = np.concatenate(
             [
-                (np.abs(pair.flight.height_error) / pair.flight.height_sigma)[
-                    pair.flight.inside(pair.begin_ns, pair.after_ns[1])
-                ]
+                (
+                    np.abs(getattr(pair.flight, f"{name}_error"))
+                    / getattr(pair.flight, f"{name}_sigma")
+                )[pair.flight.inside(pair.begin_ns, pair.after_ns[1])]
                 for pair in pairs
             ]
         )
         largest = float(ratios.max()) if ratios.size else float("nan")
-        return f"height within {largest:.1f} σ", largest <= LARGEST_SIGMAS
+        return f"{name} within {largest:.1f} σ", largest <= LARGEST_SIGMAS
 
-    return Check(f"height within {LARGEST_SIGMAS:g} σ", judge)
+    return Check(f"{name} within {LARGEST_SIGMAS:g} σ", judge)
 
 
 def recovers(within: float) -> Check:

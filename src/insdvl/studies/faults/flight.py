@@ -13,9 +13,13 @@ from insdvl.arrays import Array, Stamps
 from insdvl.messages.convert import stamp_ns as stamp_of
 from insdvl.messages.feed import Feed
 from insdvl.messages.refusals import Refused
-from insdvl.messages.topics import DEPTH, IMU, measurement_of
+from insdvl.messages.topics import DEPTH, HEADING, IMU, measurement_of
 from insdvl.navigation.events import NS
-from insdvl.navigation.geometry.frames import ENU, rpy_from_rotation
+from insdvl.navigation.geometry.frames import (
+    ENU,
+    rotation_from_quaternion,
+    rpy_from_rotation,
+)
 from insdvl.navigation.odometry import Odometry
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build, flatten
@@ -58,6 +62,8 @@ class Flight:
         sigma: (N, 3) its standard deviation.
         height_error: (N,) error of the published height [m], positive upwards.
         height_sigma: (N,) its standard deviation.
+        heading_error: (N,) error of the published yaw within +-pi [rad].
+        heading_sigma: (N,) its standard deviation.
         digest: Digest of all published odometry without its stamps.
         updates: The measurements that were judged.
         refused: Messages that were not used, by topic and reason.
@@ -76,6 +82,8 @@ class Flight:
     sigma: Array
     height_error: Array
     height_sigma: Array
+    heading_error: Array
+    heading_sigma: Array
     digest: str
     updates: list[FlownUpdate]
     refused: dict[Refused, int]
@@ -119,6 +127,8 @@ def parameters_of(
         "origin.height": -5.0,
         "depth.topic": DEPTH if sensors.depth_rate else "",
         "depth.surface_std": 0.0,
+        "heading.topic": HEADING if sensors.heading_rate else "",
+        "heading.interval": 0.0,
     }
     return build(FilterParameters, values | dict(changes))
 
@@ -165,6 +175,7 @@ class _Outputs:
         self.updates: list[FlownUpdate] = []
         self.rows: list[tuple[int, int, Array, Array]] = []
         self.heights: list[tuple[float, float]] = []  # published, and sigma
+        self.yaws: list[tuple[float, float]] = []
         self.digest = hashlib.sha256()
         self.finite = self.positive = self.monotonic = True
         self.epochs: list[int] = []
@@ -203,6 +214,8 @@ class _Outputs:
         sigma = np.sqrt(np.diag(output.twist_covariance)[:3])
         self.rows.append((time_ns, time_ns + epoch.truth_ns, output.twist_linear, sigma))
         self.heights.append((output.position[2], np.sqrt(output.pose_covariance[2, 2])))
+        C = rotation_from_quaternion(output.quaternion_xyzw)
+        self.yaws.append((rpy_from_rotation(C)[2], np.sqrt(output.pose_covariance[5, 5])))
 
     def flight(
         self, parameters: FilterParameters, refused: dict[Refused, int], counts: dict[str, int]
@@ -216,6 +229,8 @@ class _Outputs:
             raise ValueError("an output has a stamp that the mission does not have")
         true_v_b = np.einsum("kji,kj->ki", mission.truth.C_n_b[k], mission.truth.v_n[k]) @ ENU.body
         height, height_sigma = np.array(self.heights).T
+        yaw, yaw_sigma = np.array(self.yaws).T
+        true_yaw = rpy_from_rotation(ENU.attitude(mission.truth.C_o_b[k]))[:, 2]
         faulted = Counter(a.topic for a in self.stream.arrivals if not a.valid)
         return Flight(
             times_ns=np.array(times, dtype=np.int64),
@@ -225,6 +240,8 @@ class _Outputs:
             sigma=np.array(sigmas),
             height_error=height + mission.truth.p_o[k, 2],
             height_sigma=height_sigma,
+            heading_error=(yaw - true_yaw + np.pi) % (2.0 * np.pi) - np.pi,
+            heading_sigma=yaw_sigma,
             digest=self.digest.hexdigest(),
             updates=self.updates,
             refused=refused,

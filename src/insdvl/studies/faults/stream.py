@@ -15,9 +15,11 @@ from insdvl.navigation.events import NS
 from insdvl.recordings.messages import message_of
 from insdvl.simulation.depth import DepthModel
 from insdvl.simulation.dvl import DvlModel
+from insdvl.simulation.heading import HeadingModel
 from insdvl.simulation.messages import (
     depth_messages,
     dvl_messages,
+    heading_messages,
     imu_messages,
     process_noise_messages,
 )
@@ -110,6 +112,7 @@ class Sensors:
         start_ns: Stamp of the start.
         learned: Whether the process noise is learned by a tuner; else the true one is published.
         depth_rate: Rate of the depth sensor [Hz]; 0 for none.
+        heading_rate: Rate of the heading sensor [Hz]; 0 for none.
         dvl_rate: Rate of the DVL [Hz].
         dvl_noise: Its noise, one sigma [m/s].
     """
@@ -119,6 +122,7 @@ class Sensors:
     start_ns: int = 1000 * NS
     learned: bool = False
     depth_rate: float = 0.0
+    heading_rate: float = 0.0
     dvl_rate: float = 1.0
     dvl_noise: float = 0.1
 
@@ -146,6 +150,7 @@ def stream_of(sensors: Sensors, seed: int, duration: float) -> Stream:
         imu=ImuModel(rate=sensors.rate),
         dvl=DvlModel(rate=sensors.dvl_rate, noise_std=(sensors.dvl_noise,) * 3),
         depth=DepthModel(rate=sensors.depth_rate),
+        heading=HeadingModel(rate=sensors.heading_rate),
         start_ns=sensors.start_ns,
     )
     arrivals = list(sensor_arrivals(mission))
@@ -159,8 +164,8 @@ def stream_of(sensors: Sensors, seed: int, duration: float) -> Stream:
 
 
 def sensor_arrivals(mission: Mission) -> Iterable[Arrival]:
-    """The messages of IMU, DVL and depth sensor, each at its stamp, made one at a time."""
-    made_by = imu_messages, dvl_messages, depth_messages
+    """The messages of IMU, DVL, depth and heading sensor, at their stamps, made one at a time."""
+    made_by = imu_messages, dvl_messages, depth_messages, heading_messages
     sensors = (made(mission, message_of) for made in made_by)
     return (Arrival(*timed) for timed in merge(*sensors, key=lambda timed: timed.time_ns))
 

@@ -9,7 +9,6 @@ from insdvl.messages.inputs import frame_id_of
 from insdvl.messages.make import fill_fix, fill_innovation
 from insdvl.messages.topics import GLOBAL_POSITION, IMU, taken
 from insdvl.navigation.events import NS
-from insdvl.navigation.geometry.frames import CONVENTIONS
 from insdvl.navigation.odometry import biases, odometry
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.recordings.bag_writer import BagWriter
@@ -35,7 +34,6 @@ def write_bag(
         for name, topic in reversed(taken(parameters).items())
         if name.lstrip("/") in frame_ids
     }
-    convention = CONVENTIONS[parameters.frame_convention]
     second = None
     initialised = [
         (part, int(k))
@@ -77,7 +75,9 @@ def write_bag(
         report = update.report
         message = new_message(TWIST_WITH_COVARIANCE)
         message.header.frame_id = sensors[report.measurement]
-        fill_innovation(message, update.stamp_ns, report.innovation, report.S, convention)
+        model = replayed.fold.filter.models[report.measurement]
+        nu, S = model.in_stream(report.innovation, report.S)
+        fill_innovation(message, update.stamp_ns, nu, S, angles=model.angles)
         bag.write(encode(f"/{report.measurement}/innovation", update.stamp_ns, message))
 
 

@@ -11,7 +11,7 @@ from insdvl.arrays import Array, Stamps
 from insdvl.files import finite
 from insdvl.messages import convert
 from insdvl.messages.convert import RejectedMessage
-from insdvl.messages.topics import TRUTH
+from insdvl.messages.topics import IMU, TRUTH
 from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.frames import NED
 from insdvl.navigation.measurements.dvl import Dvl
@@ -147,7 +147,8 @@ def _updates_of(name: str, replayed: Replayed) -> dict[str, Any]:
     reports = [u.report for u in replayed.updates if u.report.measurement == name]
     reasons = Counter(report.reason for report in reports if not report.accepted)
     for (topic, reason), count in replayed.refused.items():
-        if replayed.measurements.get(topic) == name:
+        # What is refused on the topic of the IMU is the sample; of its measurement, by its name.
+        if topic == name or (topic != IMU and replayed.measurements.get(topic) == name):
             reasons[reason] += count
     numbers: dict[str, Any] = {
         f"{name}_accepted": sum(report.accepted for report in reports),

@@ -1,6 +1,15 @@
 """The rows of the fault matrix that concern messages and time, by subject."""
 
-from insdvl.studies.faults.rows import depth, drivers, dvl, imu, network, process_noise, time
+from insdvl.studies.faults.rows import (
+    depth,
+    drivers,
+    dvl,
+    heading,
+    imu,
+    network,
+    process_noise,
+    time,
+)
 from insdvl.studies.faults.rows.base import FlightRow
 
 ROWS: tuple[FlightRow, ...] = (
@@ -8,6 +17,7 @@ ROWS: tuple[FlightRow, ...] = (
     *dvl.ROWS,
     *drivers.ROWS,
     *depth.ROWS,
+    *heading.ROWS,
     *process_noise.ROWS,
     *time.ROWS,
     *network.ROWS,
