@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from insdvl.messages.convert import RejectedMessage
 from insdvl.messages.inputs import Inputs
 from insdvl.messages.refusals import Refused
-from insdvl.messages.topics import IMU
+from insdvl.messages.topics import IMU, taken
 from insdvl.navigation.events import Event, Measurement
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.timeline.fold import Fold
@@ -34,6 +34,7 @@ class Feed:
     Attributes:
         inputs: The topics and their converters.
         fold: The filter's timeline; ``fold.take()`` gives what is to be published.
+        has_map: Whether an input tells heading or position against the Earth: then map is not odom.
         refused: Messages that are not used, by topic and reason. A measurement in a message of the
             IMU is refused by its own name: the sample may be used.
     """
@@ -53,10 +54,12 @@ class Feed:
             on_refused: Called with topic, reason and detail of each message that is not used.
 
         Raises:
-            ParameterError: Two parameters name one topic.
+            ParameterError: Two parameters name one topic, or one frame.
         """
-        self.inputs = Inputs(parameters)
         self.fold = Fold(parameters, capacity)
+        models, topics = self.fold.filter.models, taken(parameters).values()
+        self.has_map = any(models[t.measurement].absolute for t in topics if t.measurement)
+        self.inputs = Inputs(parameters, has_map=self.has_map)
         self.refused: Counter[Refused] = Counter()
         self._on_refused = on_refused
 

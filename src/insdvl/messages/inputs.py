@@ -14,6 +14,7 @@ from insdvl.messages.topics import Topic, ZeroStamp, taken
 from insdvl.navigation.events import NS, Event, Imu, Measurement, Orientation
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.state import NEVER
+from insdvl.parameters.declaration import check_map
 from insdvl.timeline.fold import Fold
 
 
@@ -35,13 +36,20 @@ class Inputs:
             start the filter.
     """
 
-    def __init__(self, parameters: FilterParameters) -> None:
+    def __init__(self, parameters: FilterParameters, *, has_map: bool = False) -> None:
         """Look up the topics of these parameters.
 
+        Args:
+            parameters: Of the filter.
+            has_map: Whether an input is absolute: then a pose that is told is in map, not in odom.
+
         Raises:
-            ParameterError: Two parameters name one topic.
+            ParameterError: Two parameters name one topic, or map one of the other frames.
         """
         self._parameters = parameters
+        self._renamed = {"odom_frame": "map_frame"} if has_map else {}
+        if has_map:
+            check_map(parameters.map_frame, parameters.odom_frame, parameters.base_frame)
         self._max_delay_ns = round(parameters.max_delay * NS)
         self._jump_limit_ns = round(parameters.jump_limit * NS)
         self.frame_ids: dict[str, str] = {}
@@ -68,6 +76,7 @@ class Inputs:
         """Name and getter of each frame field that must have a value, and that value."""
         fields: list[tuple[str, Callable[[Any], Any], str]] = []
         for name, parameter in topic.frames.items():
+            parameter = self._renamed.get(parameter, parameter)
             if expected := str(attrgetter(parameter)(self._parameters)):
                 fields.append((name.split(".")[-1], attrgetter(name), expected))
         return fields

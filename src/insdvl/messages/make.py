@@ -176,6 +176,22 @@ def fill_odometry(
     message.twist.covariance = flat_covariance(twist_covariance, 6)
 
 
+def fill_transform(
+    message: Any, stamp_ns: int, position: ArrayLike, quaternion_xyzw: ArrayLike
+) -> None:
+    """Fill a geometry_msgs/TransformStamped.
+
+    Args:
+        message: The message.
+        stamp_ns: Stamp [ns].
+        position: (3,) of the child in the parent [m].
+        quaternion_xyzw: (4,) attitude of the child in the parent.
+    """
+    set_stamp(message, stamp_ns)
+    set_vector(message.transform.translation, position)
+    set_quaternion(message.transform.rotation, quaternion_xyzw)
+
+
 def fill_fix(message: Any, stamp_ns: int, place: Array, covariance: Array) -> None:
     """Fill a sensor_msgs/NavSatFix with a filter's estimate.
 

@@ -30,7 +30,10 @@ TRUE_PROCESS_NOISE = "ground_truth/process_noise"
 FIX = "gps/fix"
 DEPTH = "depth/pressure"
 HEADING = "heading/orientation"
-#: Of what the filter publishes, as replay and node do.
+#: Of what the filter publishes, as replay and node do: the estimate in odom and, where an input is
+#: absolute, in map; and its place on the Earth.
+ODOMETRY = "odometry/filtered"
+GLOBAL_ODOMETRY = "odometry/global"
 GLOBAL_POSITION = "gps/filtered"
 
 #: Topic of each source of process noise that has one.

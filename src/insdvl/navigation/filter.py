@@ -11,7 +11,7 @@ import numpy as np
 
 from insdvl.arrays import Array, Records, Stamps
 from insdvl.kernels import kernel
-from insdvl.navigation import channels, coordinates, error_state, kalman, strapdown
+from insdvl.navigation import channels, coordinates, error_state, kalman, map_to_odom, strapdown
 from insdvl.navigation.error_state import ACCELEROMETER_BIAS, HORIZONTAL_POSITION, POSITION
 from insdvl.navigation.events import (
     NS,
@@ -276,16 +276,19 @@ class Filter:
 
     def initialise(self, state: Records, initial: Initial, stamp_ns: int, w_ib_b: Array) -> None:
         """The state becomes `initial`, see `Start.initialise`."""
+        again = state[0]["nav"]["initialised"]
         if self.start.initialise(state, initial, stamp_ns, w_ib_b):
-            self._trust_nothing(state[0])
+            state[0]["counters"]["odom_resets"] += again
+            self._begin(state[0])
 
     def await_start(self, state: Records, sample: Imu, reading: Array) -> None:
         """An uninitialised state sees a sample, and may start from it, see `Start.see`."""
         if self.start.see(state, sample, reading):
-            self._trust_nothing(state[0])
+            self._begin(state[0])
 
-    def _trust_nothing(self, s: State) -> None:
+    def _begin(self, s: State) -> None:
         """No measurement has borne the new state out yet, and nothing was learned from any."""
+        map_to_odom.begin(s)
         self.process_noise.restart(s)
         shown.restart(s)
         for gate in self._gates.values():
@@ -406,11 +409,13 @@ class Filter:
         if not np.isfinite(now.nis):
             reason = "bad_covariance" if np.isnan(now.nis) else "not_finite"
             return self._report(event, now, False, reason)
+        was = map_to_odom.before(s, self.vehicle, absolute=model.absolute)
         shown.advance(s, self.vehicle, stamp_ns)
         used, accepted, reason = gate.judge(s, stamp_ns, now, linearised.R)
         report = self._report(event, now, accepted, reason)
         if report.corrected:
             self._correct(state, event, turn, used)
+        map_to_odom.moved(s, self.vehicle, was)
         memory["judged_ns"] = stamp_ns
         return report
 

@@ -27,7 +27,22 @@ from insdvl.navigation.geometry.rotation import (
     rotate_back,
     skew,
 )
-from insdvl.navigation.state import NEVER, State
+from insdvl.navigation.state import NEVER, Constants, State
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Pose of base_link in a frame, in the axes of the stream's convention.
+
+    Attributes:
+        position: (3,) [m].
+        quaternion_xyzw: (4,) attitude, tilt against the local level.
+        covariance: (6, 6) of position and of the rotation about the frame's axes [m, rad].
+    """
+
+    position: Array
+    quaternion_xyzw: Array
+    covariance: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,11 +51,13 @@ class Odometry:
 
     Attributes:
         stamp_ns: Time of the state.
-        position: (3,) in odom [m].
-        quaternion_xyzw: (4,) attitude of base_link in odom, tilt against the local level.
-        pose_covariance: (6, 6) of position and of the rotation about odom's axes [m, rad].
+        position: (3,) in map [m]; map is odom where no absolute input is used.
+        quaternion_xyzw: (4,) attitude of base_link in map, tilt against the local level.
+        pose_covariance: (6, 6) of position and of the rotation about map's axes [m, rad].
+        in_odom: The same pose seen in odom.
+        map_to_odom: (4,) position of odom in map [m] and yaw of its axes [rad].
         twist_linear: (3,) velocity in body axes [m/s].
-        twist_angular: (3,) turn rate against odom in body axes [rad/s].
+        twist_angular: (3,) turn rate against map and odom in body axes [rad/s].
         twist_covariance: (6, 6) of both, in body axes.
         place: (3,) latitude, longitude [rad] and height above the ellipsoid [m].
         place_covariance: (3, 3) of metres north, east and down at the vehicle [m^2].
@@ -50,11 +67,18 @@ class Odometry:
     position: Array
     quaternion_xyzw: Array
     pose_covariance: Array
+    in_odom: Pose
+    map_to_odom: Array
     twist_linear: Array
     twist_angular: Array
     twist_covariance: Array
     place: Array
     place_covariance: Array
+
+    @property
+    def in_map(self) -> Pose:
+        """The pose in map."""
+        return Pose(self.position, self.quaternion_xyzw, self.pose_covariance)
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +113,10 @@ _OUTPUT = np.dtype(
         ("position", "f8", (3,)),
         ("quaternion_xyzw", "f8", (1, 4)),
         ("pose_covariance", "f8", (6, 6)),
+        ("odom_position", "f8", (3,)),
+        ("odom_quaternion_xyzw", "f8", (1, 4)),
+        ("odom_covariance", "f8", (6, 6)),
+        ("map_to_odom", "f8", (4,)),
         ("twist_linear", "f8", (3,)),
         ("twist_angular", "f8", (3,)),
         ("twist_covariance", "f8", (6, 6)),
@@ -109,14 +137,14 @@ _OUTPUT = np.dtype(
 
 
 def position_in_odom(nav: State) -> Array:
-    """Position of the IMU in odom (..., 3) [m], as north, east, down, of groups ``nav`` (...)."""
+    """Position of the IMU in map (..., 3) [m], as north, east, down, of groups ``nav`` (...)."""
     origin = np.stack([nav["lat_0"], nav["lon_0"], nav["h_0"]], axis=-1).reshape(-1, 3)[-1]
     p_o, _ = odom.in_odom(nav["llh"], origin)
     return p_o
 
 
 def odometry(filter_: Filter, states: Records, k: int) -> Odometry:
-    """Odometry of the state record ``states[k]``."""
+    """Odometry of the state record ``states[k]``: the estimate, and as it is seen in odom."""
     out = np.zeros(1, _OUTPUT)
     _odometry(states, k, filter_.constants, out)
     o = out[0]
@@ -125,6 +153,8 @@ def odometry(filter_: Filter, states: Records, k: int) -> Odometry:
         position=o["position"],
         quaternion_xyzw=o["quaternion_xyzw"][0],
         pose_covariance=o["pose_covariance"],
+        in_odom=Pose(o["odom_position"], o["odom_quaternion_xyzw"][0], o["odom_covariance"]),
+        map_to_odom=o["map_to_odom"],
         twist_linear=o["twist_linear"],
         twist_angular=o["twist_angular"],
         twist_covariance=o["twist_covariance"],
@@ -188,14 +218,15 @@ def _odometry(states: Records, k: int, constants: Records, out: Records) -> None
         _add_arc(o.local_covariance, x, of_sine, of_cosine)
     o.place_covariance[:] = o.local_covariance[:3, :3]
     _congruence(o.pose_covariance, o.to_odom, o.local_covariance, 6)
+    _see_in_odom(s, c, o)
 
+    J[:] = 0.0
     rotate_back(x, C, s.nav.v_n)
     cross(y, s.nav.w_nb_b, c.l_b_imu)
     for i in range(3):
         x[i] -= y[i]
     rotate(o.twist_linear, c.body, x)
     rotate(o.twist_angular, c.body, s.nav.w_nb_b)
-    J[:] = 0.0
     product_transposed(M, c.body, C)
     error_state.set_block(J, 0, _VELOCITY, 1.0, M)
     if not c.invariant:
@@ -225,6 +256,93 @@ def _odometry(states: Records, k: int, constants: Records, out: Records) -> None
     for i in range(6):  # the sums of two mirrored elements are rounded in different orders
         for j in range(i):
             o.twist_covariance[j, i] = o.twist_covariance[i, j]
+
+
+@kernel
+def _see_in_odom(s: State, c: Constants, o: State) -> None:
+    """The pose in odom, and its covariance: that by P and that of what was corrected.
+
+    b_o is the way from the start in odom, where no absolute input moves it: the turn of the heading
+    about the start has the variance of both. See map_to_odom.py.
+    """
+    m, C = s.odom, s.nav.C_n_b
+    for i in range(3):
+        o.map_to_odom[i] = 0.0
+        for j in range(3):
+            o.map_to_odom[i] += c.nav[i, j] * m.p[j]
+    o.map_to_odom[3] = c.nav[2, 2] * m.yaw
+    moved = m.yaw != 0.0
+    for i in range(3):
+        moved = moved or m.p[i] != 0.0
+    for i in range(4):
+        moved = moved or m.P[i, i] > 0.0
+    if not moved:
+        o.odom_position[:] = o.position
+        o.odom_quaternion_xyzw[:] = o.quaternion_xyzw
+        o.odom_covariance[:] = o.pose_covariance
+        return
+    A, M, N = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    to_odom, J, D = o.to_odom, o.J, np.zeros((6, 6))
+    p_o, b, b_o, x = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    rotate_back(x, c.nav, o.position)
+    for i in range(3):
+        x[i] -= m.p[i]
+    about_down(N, -m.yaw)
+    rotate(p_o, N, x)
+    rotate(o.odom_position, c.nav, p_o)
+    odom.axes(M, o.place, o.origin)
+    about_down(A, odom.convergence(M) - m.yaw)
+
+    # In north, east, down at the vehicle; to_odom leads from there to odom's axes.
+    odom.position_jacobian(o.M1, M)
+    product(M, N, o.M1)
+    product(N, c.nav, M)
+    error_state.set_block(to_odom, 0, 0, 1.0, N)
+    product(N, c.nav, A)
+    error_state.set_block(to_odom, 3, 3, 1.0, N)
+    product(M, N, C)
+    product(o.C[0], M, c.body)
+    quaternions(o.odom_quaternion_xyzw, o.C)
+
+    for i in range(3):
+        x[i] = p_o[i] - m.reference[i]
+    rotate_back(b_o, A, x)
+    skew(N, b_o)
+    rotate(b, C, c.l_b_imu)
+    if c.invariant:
+        earth.displacement(x, s.nav.llh_r, s.nav.llh)
+        for i in range(3):
+            b[i] -= x[i]
+    skew(M, b)
+    slope, of_sine, of_cosine = 1.0, 0.0, 0.0
+    if c.invariant:
+        slope, of_sine, of_cosine = error_state.heading_moments(
+            s.nav.P[_HEADING, _HEADING] + m.P[3, 3]
+        )
+    J[:] = 0.0
+    for i in range(3):
+        for j in range(3):
+            J[i, _ATTITUDE + j] = M[i, j]
+        J[i, _HEADING] += (1.0 - slope) * N[i, 2]
+        J[i, _POSITION + i] = 1.0
+        J[3 + i, _ATTITUDE + i] = 1.0
+    _congruence(o.local_covariance, J, s.nav.P, c.n)
+    # What was corrected, in odom's axes, as (position, 0, 0, yaw).
+    for i in range(4):
+        for j in range(4):
+            D[i + 2 * (i == 3), j + 2 * (j == 3)] = m.P[i, j]
+    J[:] = 0.0
+    for i in range(3):
+        for j in range(3):
+            J[i, j] = A[j, i]
+        J[i, 5] = -N[i, 2] * slope
+    J[5, 5] = 1.0
+    _congruence(o.odom_covariance, J, D, 6)
+    for i in range(6):
+        for j in range(6):
+            o.local_covariance[i, j] += o.odom_covariance[i, j]
+    _add_arc(o.local_covariance, b_o, of_sine, of_cosine)
+    _congruence(o.odom_covariance, to_odom, o.local_covariance, 6)
 
 
 @kernel

@@ -33,8 +33,22 @@ class FilterParameters:
         "forward-left-up (REP-103), or north-east-down and forward-right-down.",
         choices=("enu", "ned"),
     )
-    odom_frame: str = parameter("odom", "frame_id of the output.")
+    map_frame: str = parameter(
+        "map",
+        "frame_id of odometry/global, published where an input tells heading or position.",
+    )
+    odom_frame: str = parameter("odom", "frame_id of odometry/filtered.")
     base_frame: str = parameter("base_link", "child_frame_id of the output.")
+    publish_tf: bool = parameter(
+        False,
+        "Publish odom -> base_link on /tf and, where there is a map, map -> odom; needs tf2_msgs.",
+    )
+    extrinsics: str = parameter(
+        "parameters",
+        "Mounts and lever arms of IMU, DVL and other sensors: as these parameters say, or from "
+        "/tf_static by the frame_id of the sensor's messages, or by its frame_id parameter.",
+        choices=("parameters", "tf"),
+    )
     error_state: str = parameter(
         "invariant", "Coordinates of the velocity error.", choices=("invariant", "ned")
     )

@@ -197,6 +197,21 @@ _START = (
     Field("velocity_told", COUNT),
 )
 
+#: Map and odom, see map_to_odom.py; north, east, down.
+_ODOM = (
+    # Position of odom's origin in map [m], and yaw of its axes [rad]
+    Field("p", NUMBER, (3,)),
+    Field("yaw", NUMBER),
+    # Covariance of what absolute inputs have corrected, of the position and of yaw in odom's axes,
+    # without what a turn about the start makes of it; and that start in odom [m]
+    Field("P", COVARIANCE, (4, 4)),
+    Field("reference", NUMBER, (3,)),
+    # By how much other measurements have turned odom since the start [rad], and had when a reset
+    # was counted last
+    Field("turned", NUMBER),
+    Field("turned_at_reset", NUMBER),
+)
+
 _COUNTERS = (
     Field("gaps", COUNT),
     Field("saturated", COUNT),  # samples
@@ -213,6 +228,7 @@ _COUNTERS = (
     Field("not_level", COUNT),  # levellings that were restarted
     Field("off_the_map", COUNT),  # initial states at no place that the filter could navigate at
     Field("beyond_latitude", COUNT),  # steps that ended at the largest latitude
+    Field("odom_resets", COUNT),  # further starts, and steps of odom
 )
 
 #: Counters in the state record, by their names in diagnostics.
@@ -287,6 +303,7 @@ def layout(measurements: Sequence[str], optional: int) -> Layout:
         "noise": _noise(n),
         "channels": _CHANNELS,
         "start": _START,
+        "odom": _ODOM,
         "counters": _COUNTERS,
     }
     return Layout(groups, _GATE, tuple(measurements), n)

@@ -192,6 +192,18 @@ def check_frames(odom: str, base: str) -> None:
         )
 
 
+def check_map(map_: str, odom: str, base: str) -> None:
+    """Refuse a frame of map that is empty, or another one."""
+    if not map_:
+        raise ParameterError("parameter 'map_frame' must not be empty")
+    for name, frame in (("odom_frame", odom), ("base_frame", base)):
+        if map_ == frame:
+            raise ParameterError(
+                f"parameter 'map_frame' must differ from {name} where an input tells heading or "
+                f"position, got {shown(map_)}"
+            )
+
+
 def declarations(group: type[Any], prefix: str = "") -> Iterator[Declaration]:
     """The parameters of a group and its nested groups, in the order of their definition."""
     types = typing.get_type_hints(group)

@@ -90,14 +90,14 @@ class Fold:
         origins = [e.event for e in self._entries.ordered if isinstance(e.event, Origin)]
         if (known := self._origin()) is not None:
             origins.insert(0, known)
-        self._clear()
+        self._clear(odom_resets=self.counts["odom_resets"] + 1)
         for origin in origins[:1]:
             self.filter.locate(self._start, origin)
         return pose is not None and self.filter.start.keep(self._start[0], pose)
 
-    def _clear(self) -> None:
-        """Nothing has happened yet."""
-        self._counts = Counter[str]()  # of times that were left, and of the fold itself
+    def _clear(self, odom_resets: int = 0) -> None:
+        """Nothing has happened yet, but that odom was reset before."""
+        self._counts = Counter[str](odom_resets=odom_resets)  # of left times, and the fold's own
         self._left: list[LeftTime] = []  # until `take` has given what was not yet published
         #: The time jump that ``jump_action: hold`` does not follow; None when there is none.
         self.held: TimeJump | None = None
@@ -263,7 +263,7 @@ class Fold:
         unpublished = self._entries.unpublished
         self._left.append(LeftTime(jump, result, stamps_ns, unpublished, self._published_ns))
         self._counts.update(result.counts)
-        self._counts["time_jumps"] += 1
+        self._counts.update(time_jumps=1, odom_resets=1)
         origin = self._origin()
         self._begin()
         if origin is not None:

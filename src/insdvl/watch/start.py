@@ -56,6 +56,35 @@ class Report:
     missing: str
 
 
+def _heading_sigma(s: State) -> float:
+    """One sigma of the heading now [rad]."""
+    return math.sqrt(s["nav"]["P"][ATTITUDE.stop - 1, ATTITUDE.stop - 1])
+
+
+def is_heading_known(s: State) -> bool:
+    """Whether the heading of an initialised state is known to `automatic.USEFUL_HEADING`."""
+    return _heading_sigma(s) < automatic.USEFUL_HEADING
+
+
+def unknown_heading(s: State) -> str:
+    """What an unknown heading does to odom; empty where it is known."""
+    if is_heading_known(s):
+        return ""
+    return (
+        f"heading unknown, one sigma {math.degrees(_heading_sigma(s)):.3g} deg: odom turns, with "
+        "the path travelled, when DVL and IMU tell it"
+    )
+
+
+def heading_news(s: State) -> str:
+    """What to say when a heading that was unknown is known."""
+    sigma, turned = (math.degrees(x) for x in (_heading_sigma(s), s["odom"]["turned"]))
+    return (
+        f"heading known, one sigma {sigma:.3g} deg: odom, with the path travelled, was turned by "
+        f"{turned:.3g} deg since the start"
+    )
+
+
 def report_of_start(filter_: Filter, s: State) -> Report:
     """How a filter started, and what it still does not know.
 
@@ -79,11 +108,10 @@ def report_of_start(filter_: Filter, s: State) -> Report:
     if outcome in _WHY:
         why = f" (no gyrocompassing: {_of_compass(s)})"
     text = "; ".join((f"heading unknown{why}", tilt, velocity, bias))
-    now = math.sqrt(s["nav"]["P"][ATTITUDE.stop - 1, ATTITUDE.stop - 1])
-    if now < automatic.USEFUL_HEADING:
+    if is_heading_known(s):
         return Report(text, "")
-    remedy = REMEDY.format(topic=initial.topic)
-    return Report(text, f"heading unknown, one sigma {math.degrees(now):.3g} deg{why}: {remedy}")
+    now, remedy = math.degrees(_heading_sigma(s)), REMEDY.format(topic=initial.topic)
+    return Report(text, f"heading unknown, one sigma {now:.3g} deg{why}: {remedy}")
 
 
 def waits_for(parameters: FilterParameters) -> str:

@@ -58,12 +58,14 @@ class Replayed:
         refused: Messages that were not used, by topic and reason.
         measurements: Name of the measurement of each topic that feeds one.
         findings: Contradictions of the frames, see `AlignmentCheck`.
+        has_map: Whether the filter has a map, see `Feed`.
     """
 
     fold: Fold
     refused: Counter[Refused]
     measurements: Mapping[str, str]
     findings: list[str]
+    has_map: bool
 
     @property
     def initialised(self) -> NDArray[np.intp]:
@@ -116,4 +118,4 @@ def fold_recording(recording: Sequence[Raw], parameters: FilterParameters) -> Re
     findings = {finding: None for check in checks for finding in check.findings()}
     topics = feed.inputs.topics.items()
     measurements = {name: topic.measurement for name, topic in topics if topic.measurement}
-    return Replayed(feed.fold, feed.refused, measurements, list(findings))
+    return Replayed(feed.fold, feed.refused, measurements, list(findings), feed.has_map)

@@ -1,15 +1,16 @@
 """The recording of `insdvl replay --out`: the inputs, and what the filter node publishes."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from insdvl.messages.convert import FIX, TWIST_WITH_COVARIANCE
 from insdvl.messages.inputs import frame_id_of
 from insdvl.messages.make import fill_fix, fill_innovation
-from insdvl.messages.topics import GLOBAL_POSITION, IMU, taken
+from insdvl.messages.topics import GLOBAL_ODOMETRY, GLOBAL_POSITION, IMU, ODOMETRY, taken
 from insdvl.navigation.events import NS
-from insdvl.navigation.odometry import biases, odometry
+from insdvl.navigation.odometry import Odometry, Pose, biases, odometry
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.recordings.bag_writer import BagWriter
 from insdvl.recordings.base import Raw, decode, encode, new_message
@@ -27,7 +28,8 @@ def write_bag(
     """
     for raw in recording:
         bag.write(raw._replace(topic="/" + raw.topic))
-    frames = parameters.odom_frame, parameters.base_frame
+    in_map = parameters.map_frame, parameters.base_frame
+    in_odom = parameters.odom_frame, parameters.base_frame
     frame_ids = {raw.topic: frame_id_of(decode(raw).message) for raw in _firsts(recording)}
     sensors = {
         topic.measurement: frame_ids[name.lstrip("/")]
@@ -42,17 +44,10 @@ def write_bag(
     ]
     for part, k in initialised:
         state = odometry(part.filter, part.states, k)
-        message = odometry_message(
-            state.stamp_ns,
-            frames,
-            state.position,
-            state.quaternion_xyzw,
-            state.twist_linear,
-            state.twist_angular,
-            state.pose_covariance,
-            state.twist_covariance,
-        )
-        bag.write(encode("/odometry/filtered", state.stamp_ns, message))
+        bag.write(encode(f"/{ODOMETRY}", state.stamp_ns, _message(state, in_odom, state.in_odom)))
+        if replayed.has_map:
+            message = _message(state, in_map, state.in_map)
+            bag.write(encode(f"/{GLOBAL_ODOMETRY}", state.stamp_ns, message))
         if state.stamp_ns // NS != second:
             second = state.stamp_ns // NS
             message = new_message(FIX)
@@ -79,6 +74,20 @@ def write_bag(
         nu, S = model.in_stream(report.innovation, report.S)
         fill_innovation(message, update.stamp_ns, nu, S, angles=model.angles)
         bag.write(encode(f"/{report.measurement}/innovation", update.stamp_ns, message))
+
+
+def _message(state: Odometry, frames: tuple[str, str], pose: Pose) -> Any:
+    """The nav_msgs/Odometry of a state, with its pose in a frame."""
+    return odometry_message(
+        state.stamp_ns,
+        frames,
+        pose.position,
+        pose.quaternion_xyzw,
+        state.twist_linear,
+        state.twist_angular,
+        pose.covariance,
+        state.twist_covariance,
+    )
 
 
 def _firsts(recording: Sequence[Raw]) -> list[Raw]:
