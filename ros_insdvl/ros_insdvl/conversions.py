@@ -38,5 +38,6 @@ def _remedy(kind: str, package: str) -> str:
     """What to do where a message type is not installed."""
     driver = DRIVERS.get(kind)
     if driver is None or not driver.package:
-        return f"install or source package {package}"
+        debian = f"ros-jazzy-{package.replace('_', '-')}"
+        return f"install {debian}, or source the workspace that has {package}"
     return f"{driver.package}, then source the workspace that has package {package}"

@@ -18,31 +18,36 @@ from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import Imu, NavSatFix
 from std_srvs.srv import Trigger
 
+from insdvl.messages.extrinsics import TF, TF_MESSAGE, TF_STATIC, Extrinsics
 from insdvl.messages.feed import Feed
 from insdvl.messages.inputs import frame_id_of
 from insdvl.messages.make import fill_fix, fill_imu, fill_innovation, fill_odometry
-from insdvl.messages.topics import GLOBAL_POSITION, Topic
+from insdvl.messages.topics import GLOBAL_ODOMETRY, GLOBAL_POSITION, ODOMETRY, Topic
 from insdvl.navigation.events import NS, Event, Measurement, ProcessNoise
 from insdvl.navigation.events import Imu as ImuSample
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.odometry import Odometry as FilterOdometry
-from insdvl.navigation.odometry import biases
+from insdvl.navigation.odometry import Pose, biases
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.start import gyrocompass
 from insdvl.parameters.declaration import ParameterError
+from insdvl.navigation.state import State
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.jumps import TimeJump
 from insdvl.timeline.output import AppliedUpdate
 from insdvl.timeline.state_file import StateFile
 from insdvl.watch.alignment.check import AlignmentCheck
 from insdvl.watch.alignment.windows import integrated
-from insdvl.watch.start import report_of_start
+from insdvl.watch.start import heading_news, is_heading_known, report_of_start
 from ros_insdvl.conversions import message_class
+from ros_insdvl.endpoints import Output
 from ros_insdvl.execution import run_node
 from ros_insdvl.node import InsdvlNode
-from ros_insdvl.qos import command_qos, sensor_qos
+from ros_insdvl.qos import command_qos, latched_command_qos, sensor_qos
 from ros_insdvl.status.diagnostics import Status, View
 from ros_insdvl.status.filter.watch import FilterWatch
+from ros_insdvl.transforms import Transforms
+from ros_insdvl.waiting import Waiting
 
 DISCOVERY_PERIOD = 0.1  # s of the steady clock between two looks for the type of a topic
 
@@ -117,14 +122,21 @@ class FilterNode(InsdvlNode[FilterParameters]):
         super().__init__("insdvl_filter", FilterParameters, **options)
         parameters = self.parameters
         compile_kernels(parameters)
-        self._feed = Feed(parameters, on_refused=self.reject)
-        self._fold, self._inputs = self._feed.fold, self._feed.inputs
-        topics = self._inputs.topics
-        self.single_inputs = tuple(name for name, topic in topics.items() if topic.single)
-        self._state_file = self._resume()
-        self._watch = FilterWatch(parameters, self._inputs, self._fold, self._state_file)
+        self._waiting: Waiting | None = None  # for the extrinsics
+        self._make_feed()
+        if parameters.extrinsics == "tf":
+            self._waiting = Waiting(Extrinsics(parameters, self._inputs.topics))
+        self._begin(self._waiting and self._waiting.extrinsics)
 
-        self._odometry = self.advertise(Odometry, "odometry/filtered")
+        self._odometry = self.advertise(Odometry, ODOMETRY)
+        self._global: Output | None = None
+        if self._feed.has_map:
+            self._global = self.advertise(Odometry, GLOBAL_ODOMETRY)
+        self._tf: Output | None = None
+        if parameters.publish_tf:
+            kind = message_class(TF_MESSAGE)
+            self._tf = self.advertise(kind, TF)
+            self._transforms = Transforms(kind, parameters, has_map=self._feed.has_map)
         self._bias = self.advertise(Imu, "imu/bias")
         self._fix = self.advertise(NavSatFix, GLOBAL_POSITION)
         self._innovations = {
@@ -133,7 +145,6 @@ class FilterNode(InsdvlNode[FilterParameters]):
         }
         # A message is serialised when it is sent, so one of each kind serves for ever.
         self._odometry_message = Odometry(child_frame_id=parameters.base_frame)
-        self._odometry_message.header.frame_id = parameters.odom_frame
         self._fix_message = NavSatFix()
         self._fix_message.header.frame_id = parameters.base_frame
         self._bias_message = Imu()
@@ -142,12 +153,55 @@ class FilterNode(InsdvlNode[FilterParameters]):
         }
 
         self._slow_second: int | None = None
-        self._start_told = False
+        self._start_told = self._heading_unknown = False
         self.create_service(Trigger, "~/reset", self._reset)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._discovery = self.create_timer(DISCOVERY_PERIOD, self._discover, clock=steady)
         self._listen()
+        if self._waiting is not None:
+            kind = message_class(TF_MESSAGE)
+            self.listen(kind, TF_STATIC, self._receive_transforms, latched_command_qos())
         self.start_diagnostics()
+
+    def _make_feed(self) -> None:
+        """Make the filter, with the parameters as they are now."""
+        self._feed = Feed(self.parameters, on_refused=self.reject)
+        self._fold, self._inputs = self._feed.fold, self._feed.inputs
+        topics = self._inputs.topics
+        self.single_inputs = tuple(name for name, topic in topics.items() if topic.single)
+
+    def _begin(self, extrinsics: Extrinsics | None) -> None:
+        """Watch the filter; where it waits for nothing, go on from the state file."""
+        self._state_file = self._resume() if self._waiting is None else None
+        self._watch = FilterWatch(
+            self.parameters, self._inputs, self._fold, self._state_file, extrinsics
+        )
+
+    def _receive_transforms(self, message: Any) -> None:
+        """Take what /tf_static says, until the filter is made from it."""
+        if self._waiting is not None:
+            self._waiting.extrinsics.add(message)
+            self._go_on()
+
+    def _wait(self, waiting: Waiting, topic: str, message: Any) -> None:
+        """Keep a message until the extrinsics are known."""
+        if (given_up := waiting.keep(topic, message)) is not None:
+            self.reject(given_up, "no_extrinsics", "no_extrinsics: too many messages wait")
+        self._go_on()
+
+    def _go_on(self) -> None:
+        """Where the extrinsics are known, make the filter with them and give it what has waited."""
+        waiting = self._waiting
+        if waiting is None or waiting.extrinsics.missing():
+            return
+        extrinsics = waiting.extrinsics
+        self.parameters = extrinsics.applied()
+        self._waiting = None
+        self.get_logger().info(f"extrinsics: {extrinsics.text}")
+        self._make_feed()
+        self._begin(extrinsics)
+        for topic, message in waiting.kept:
+            self._receive(topic, message)
 
     def _resume(self) -> StateFile | None:
         """Go on from the state file, where there is one that fits."""
@@ -203,6 +257,9 @@ class FilterNode(InsdvlNode[FilterParameters]):
             self._discovery.cancel()
 
     def _receive(self, topic: str, message: Any) -> None:
+        if self._waiting is not None:
+            self._wait(self._waiting, topic, message)
+            return
         try:
             for event, refusal in self._feed.give(topic, message):
                 if refusal is not None:
@@ -231,18 +288,27 @@ class FilterNode(InsdvlNode[FilterParameters]):
             else:
                 self._publish_state(output)
 
-    def _publish_state(self, output: FilterOdometry) -> None:
+    def _send(self, to: Output, frame: str, output: FilterOdometry, pose: Pose) -> None:
+        """Publish an output, with its pose in a frame."""
+        self._odometry_message.header.frame_id = frame
         fill_odometry(
             self._odometry_message,
             output.stamp_ns,
-            output.position,
-            output.quaternion_xyzw,
+            pose.position,
+            pose.quaternion_xyzw,
             output.twist_linear,
             output.twist_angular,
-            output.pose_covariance,
+            pose.covariance,
             output.twist_covariance,
         )
-        self._odometry.send(self._odometry_message)
+        to.send(self._odometry_message)
+
+    def _publish_state(self, output: FilterOdometry) -> None:
+        self._send(self._odometry, self.parameters.odom_frame, output, output.in_odom)
+        if self._global is not None:
+            self._send(self._global, self.parameters.map_frame, output, output.in_map)
+        if self._tf is not None:
+            self._tf.send(self._transforms.of(output))
         self._watch.published(output, self.get_clock().now().nanoseconds)
         if not self._start_told and (latest := self._fold.latest) is not None:
             self._start_told = True
@@ -252,6 +318,7 @@ class FilterNode(InsdvlNode[FilterParameters]):
         state = self._fold.latest  # none where the output is the last of a time that was left
         if second != self._slow_second and state is not None:
             self._slow_second = second
+            self._tell_heading(state)
             fill_fix(self._fix_message, output.stamp_ns, output.place, output.place_covariance)
             self._fix.send(self._fix_message)
             bias = biases(self._fold.filter, state)
@@ -265,6 +332,13 @@ class FilterNode(InsdvlNode[FilterParameters]):
             )
             self._bias.send(self._bias_message)
 
+    def _tell_heading(self, state: State) -> None:
+        """One line when the heading is known that was not; the status says so while it is not."""
+        known = is_heading_known(state)
+        if known and self._heading_unknown:
+            self.get_logger().info(heading_news(state))
+        self._heading_unknown = not known
+
     def _follow(self, jump: TimeJump) -> None:
         """The fold has begun again in another time; so does what is kept here per time."""
         self._begin_time()
@@ -277,7 +351,7 @@ class FilterNode(InsdvlNode[FilterParameters]):
     def _begin_time(self) -> None:
         """Forget what is kept here by stamps."""
         self._slow_second = None
-        self._start_told = False
+        self._start_told = self._heading_unknown = False
         self._watch.reset()
         self._listen()
 

@@ -41,6 +41,16 @@ def latched_qos() -> QoSProfile:
     )
 
 
+def latched_command_qos() -> QoSProfile:
+    """Subscription to what was published before, as /tf_static is."""
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=100,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    )
+
+
 def overridable() -> QoSOverridingOptions:
     """What parameters may change."""
     return QoSOverridingOptions(

@@ -17,6 +17,8 @@ from ros_insdvl.status.diagnostics import ERROR, WARN, Status
 
 #: A killed process stays in the graph until its lease expires: Fast DDS' is 20 s.
 LEASE = 20.0
+#: Outputs that other nodes publish as well.
+SHARED = ("/tf",)
 #: Used as the name of a node that the graph does not know yet.
 UNKNOWN = "of an unknown node"
 
@@ -68,7 +70,7 @@ class Connections:
             status.values[f"subscriptions {topic}"] = len(subscriptions)
             self._report_mismatches(status, topic, publisher, publishers, subscriptions)
             rivals = sorted({*map(_name, publishers)} - {self._name, UNKNOWN})
-            if rivals:
+            if rivals and topic not in SHARED:
                 status.complain(
                     ERROR,
                     f"rivals {topic}",

@@ -19,6 +19,7 @@ REMEDIES: Mapping[str, str] = MappingProxyType(
         "far_ahead": "the sender's clock is ahead of the IMU's",
         "gate": "the measurements do not fit: check the sensor, its mount and noise, and the IMU",
         "no_data": "the sender marks its data as not measured",
+        "no_extrinsics": "mounts and lever arms are not known yet, see the status extrinsics",
         "no_stamp": "the driver does not stamp its messages",
         "not_finite": "the sender sends NaN or infinity",
         "out_of_range": "the values are physically impossible, or no place where the filter "

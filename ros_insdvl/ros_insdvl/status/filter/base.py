@@ -10,8 +10,6 @@ from insdvl.timeline.jumps import TimeJump
 from insdvl.timeline.output import AppliedUpdate
 from ros_insdvl.status.diagnostics import Status, View
 
-ODOMETRY = "odometry/filtered"
-
 
 class Cause:
     """One cause: it remembers what it needs of what the filter does, and gives its status."""

@@ -5,13 +5,13 @@ from math import inf
 
 import numpy as np
 
-from insdvl.messages.topics import IMU
+from insdvl.messages.topics import IMU, ODOMETRY
 from insdvl.navigation.events import NS, Event
 from insdvl.navigation.events import Imu as ImuSample
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.watch.sample_count import ExpectedSamples
 from ros_insdvl.status.diagnostics import ERROR, RECENT, WARN, Status, View
-from ros_insdvl.status.filter.base import ODOMETRY, Cause
+from ros_insdvl.status.filter.base import Cause
 
 #: Largest relative difference between imu.rate and the rate of the stamps.
 RATE_TOLERANCE = 0.05

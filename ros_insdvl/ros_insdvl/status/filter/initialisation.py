@@ -8,7 +8,7 @@ from insdvl.navigation.geometry.odom import MAX_FROM_ORIGIN
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.state import State
 from insdvl.timeline.fold import Fold
-from insdvl.watch.start import large_biases, report_of_start, waits_for
+from insdvl.watch.start import large_biases, report_of_start, unknown_heading, waits_for
 from ros_insdvl.status.diagnostics import RECENT, WARN, Status, View
 from ros_insdvl.status.filter.base import Cause, Published
 
@@ -70,5 +70,7 @@ class Initialisation(Cause):
             status.summary += f", {report.text}"
         if report.missing:
             status.complain(WARN, "heading", report.missing)
+        if text := unknown_heading(latest):
+            status.complain(WARN, "odom", text)
         for text in large_biases(self._fold.filter, latest):
             status.complain(WARN, "bias", text)

@@ -4,13 +4,13 @@ from collections import deque
 
 import numpy as np
 
-from insdvl.messages.topics import GLOBAL_POSITION, IMU
+from insdvl.messages.topics import GLOBAL_ODOMETRY, GLOBAL_POSITION, IMU, ODOMETRY
 from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.earth import MAX_LATITUDE_DEG
 from insdvl.navigation.odometry import Odometry
 from insdvl.navigation.parameters import FilterParameters
 from ros_insdvl.status.diagnostics import ERROR, RECENT, SILENT, WARN, Status, View
-from ros_insdvl.status.filter.base import ODOMETRY, Cause, Published
+from ros_insdvl.status.filter.base import Cause, Published
 
 #: Stamps and clock that differ by more than this belong to different times: no latency is given.
 CLOCK_AGREEMENT_NS = 10 * NS
@@ -19,7 +19,7 @@ LATE_NS = NS
 #: Latencies that are kept between two looks.
 KEPT_LATENCIES = 10_000
 
-_BEYOND = "beyond_latitude"
+_BEYOND, _RESETS = "beyond_latitude", "odom_resets"
 
 
 class Output(Cause):
@@ -42,7 +42,8 @@ class Output(Cause):
     def status(self, view: View) -> Status:
         """Rate, sigmas and latency."""
         status = Status("output", "no output yet")
-        view.show(status, ODOMETRY, "imu/bias", GLOBAL_POSITION, "dvl/innovation")
+        view.show(status, ODOMETRY, GLOBAL_ODOMETRY, "imu/bias", GLOBAL_POSITION, "dvl/innovation")
+        view.show_events(status, _RESETS)
         output = self._published.last
         if output is None:
             return status
@@ -52,6 +53,10 @@ class Output(Cause):
         status.values["heading sigma [deg]"] = f"{heading:.4g}"
         position = float(np.sqrt(np.diag(output.pose_covariance)[:2].max()))
         status.values["position sigma, horizontal [m]"] = f"{position:.4g}"
+        if GLOBAL_ODOMETRY in view.sent.total:
+            *p, yaw = output.map_to_odom.tolist()
+            status.values["map to odom, x, y, z [m]"] = ", ".join(f"{x:.4g}" for x in p)
+            status.values["map to odom, yaw [deg]"] = f"{np.degrees(yaw):.4g}"
         status.summary = f"{view.rate(ODOMETRY):.1f} Hz, velocity sigma {velocity:.3f} m/s"
         samples = view.received.recent[IMU]
         if samples and not view.sent.recent[ODOMETRY] and view.silence[IMU] < SILENT:

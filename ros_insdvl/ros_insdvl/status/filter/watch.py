@@ -2,6 +2,7 @@
 
 from collections import Counter
 
+from insdvl.messages.extrinsics import Extrinsics
 from insdvl.messages.inputs import Inputs
 from insdvl.navigation.events import Event
 from insdvl.navigation.odometry import Odometry
@@ -12,6 +13,7 @@ from insdvl.timeline.output import AppliedUpdate
 from insdvl.timeline.state_file import StateFile
 from ros_insdvl.status.diagnostics import Status, View
 from ros_insdvl.status.filter.base import Cause, Published
+from ros_insdvl.status.filter.extrinsics import OfExtrinsics
 from ros_insdvl.status.filter.frames import Frames
 from ros_insdvl.status.filter.imu import Imu
 from ros_insdvl.status.filter.initialisation import Initialisation
@@ -30,6 +32,7 @@ class FilterWatch:
         inputs: Of the filter.
         fold: Of the filter.
         state_file: Where its state is kept, None for nowhere.
+        extrinsics: Where the sensors are, None where the parameters say it.
     """
 
     def __init__(
@@ -38,6 +41,7 @@ class FilterWatch:
         inputs: Inputs,
         fold: Fold,
         state_file: StateFile | None = None,
+        extrinsics: Extrinsics | None = None,
     ) -> None:
         self._fold = fold
         self._published = Published()
@@ -55,6 +59,7 @@ class FilterWatch:
             self._frames,
             Output(parameters, self._published),
             KeptState(state_file),
+            *([] if extrinsics is None else [OfExtrinsics(extrinsics)]),
         )
 
     @property
