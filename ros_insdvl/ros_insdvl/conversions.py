@@ -34,6 +34,15 @@ def message_class(kind: str) -> type[Any]:
     return found
 
 
+def new_message(kind: str) -> Any:
+    """A message with the default values of its type.
+
+    Raises:
+        ParameterError: The type is not installed.
+    """
+    return message_class(kind)()
+
+
 def _remedy(kind: str, package: str) -> str:
     """What to do where a message type is not installed."""
     driver = DRIVERS.get(kind)

@@ -18,11 +18,12 @@ from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import Imu, NavSatFix
 from std_srvs.srv import Trigger
 
-from insdvl.messages.extrinsics import TF, TF_MESSAGE, TF_STATIC, Extrinsics
+from insdvl.messages.extrinsics import Extrinsics
 from insdvl.messages.feed import Feed
 from insdvl.messages.inputs import frame_id_of
 from insdvl.messages.make import fill_fix, fill_imu, fill_innovation, fill_odometry
 from insdvl.messages.topics import GLOBAL_ODOMETRY, GLOBAL_POSITION, ODOMETRY, Topic
+from insdvl.messages.transforms import TF, TF_MESSAGE, TF_STATIC, Transforms
 from insdvl.navigation.events import NS, Event, Measurement, ProcessNoise
 from insdvl.navigation.events import Imu as ImuSample
 from insdvl.navigation.measurements.dvl import Dvl
@@ -39,14 +40,13 @@ from insdvl.timeline.state_file import StateFile
 from insdvl.watch.alignment.check import AlignmentCheck
 from insdvl.watch.alignment.windows import integrated
 from insdvl.watch.start import heading_news, is_heading_known, report_of_start
-from ros_insdvl.conversions import message_class
+from ros_insdvl.conversions import message_class, new_message
 from ros_insdvl.endpoints import Output
 from ros_insdvl.execution import run_node
 from ros_insdvl.node import InsdvlNode
 from ros_insdvl.qos import command_qos, latched_command_qos, sensor_qos
 from ros_insdvl.status.diagnostics import Status, View
 from ros_insdvl.status.filter.watch import FilterWatch
-from ros_insdvl.transforms import Transforms
 from ros_insdvl.waiting import Waiting
 
 DISCOVERY_PERIOD = 0.1  # s of the steady clock between two looks for the type of a topic
@@ -134,9 +134,8 @@ class FilterNode(InsdvlNode[FilterParameters]):
             self._global = self.advertise(Odometry, GLOBAL_ODOMETRY)
         self._tf: Output | None = None
         if parameters.publish_tf:
-            kind = message_class(TF_MESSAGE)
-            self._tf = self.advertise(kind, TF)
-            self._transforms = Transforms(kind, parameters, has_map=self._feed.has_map)
+            self._tf = self.advertise(message_class(TF_MESSAGE), TF)
+            self._transforms = Transforms(new_message, parameters, has_map=self._feed.has_map)
         self._bias = self.advertise(Imu, "imu/bias")
         self._fix = self.advertise(NavSatFix, GLOBAL_POSITION)
         self._innovations = {
@@ -159,8 +158,8 @@ class FilterNode(InsdvlNode[FilterParameters]):
         self._discovery = self.create_timer(DISCOVERY_PERIOD, self._discover, clock=steady)
         self._listen()
         if self._waiting is not None:
-            kind = message_class(TF_MESSAGE)
-            self.listen(kind, TF_STATIC, self._receive_transforms, latched_command_qos())
+            kind, qos = message_class(TF_MESSAGE), latched_command_qos()
+            self.listen(kind, TF_STATIC, self._receive_transforms, qos)
         self.start_diagnostics()
 
     def _make_feed(self) -> None:

@@ -16,13 +16,10 @@ import numpy as np
 from insdvl.arrays import Array
 from insdvl.messages.convert import RejectedMessage
 from insdvl.messages.topics import IMU, Topic
+from insdvl.messages.transforms import TF_STATIC
 from insdvl.navigation.geometry.frames import rotation_from_quaternion, rpy_from_rotation
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import ParameterError, build, flatten
-
-#: Topics of transforms, and their type.
-TF, TF_STATIC = "/tf", "/tf_static"
-TF_MESSAGE = "tf2_msgs/msg/TFMessage"
 
 
 class FrameError(ValueError):

@@ -1,6 +1,7 @@
 """The cause `extrinsics`: what /tf_static tells of the sensors, and what it does not tell yet."""
 
-from insdvl.messages.extrinsics import TF_STATIC, Extrinsics
+from insdvl.messages.extrinsics import Extrinsics
+from insdvl.messages.transforms import TF_STATIC
 from ros_insdvl.status.diagnostics import WARN, Status, View
 from ros_insdvl.status.filter.base import Cause
 

@@ -14,6 +14,7 @@ from insdvl.parameters.sections import load_section
 from insdvl.recordings.bag_writer import BagWriter
 from insdvl.recordings.base import BagError
 from insdvl.recordings.parameters import ReplayParameters
+from insdvl.studies.replay.extrinsics import with_extrinsics
 from insdvl.studies.replay.fold import fold_recording, read
 from insdvl.studies.replay.injection import Injection
 from insdvl.studies.replay.learning import with_learned
@@ -70,6 +71,7 @@ def _replay(arguments: argparse.Namespace) -> None:
     injection = _injection(arguments)
 
     recording = read(arguments.bag, replay, filter_)
+    filter_ = with_extrinsics(arguments.bag, recording, filter_)
     if injection is not None:
         recording = injection.applied(recording)
     source = q_from = filter_.process_noise.source

@@ -9,6 +9,7 @@ from insdvl.messages.convert import FIX, TWIST_WITH_COVARIANCE
 from insdvl.messages.inputs import frame_id_of
 from insdvl.messages.make import fill_fix, fill_innovation
 from insdvl.messages.topics import GLOBAL_ODOMETRY, GLOBAL_POSITION, IMU, ODOMETRY, taken
+from insdvl.messages.transforms import TF, Transforms
 from insdvl.navigation.events import NS
 from insdvl.navigation.odometry import Odometry, Pose, biases, odometry
 from insdvl.navigation.parameters import FilterParameters
@@ -36,6 +37,7 @@ def write_bag(
         for name, topic in reversed(taken(parameters).items())
         if name.lstrip("/") in frame_ids
     }
+    transforms = Transforms(new_message, parameters, has_map=replayed.has_map)
     second = None
     initialised = [
         (part, int(k))
@@ -45,6 +47,8 @@ def write_bag(
     for part, k in initialised:
         state = odometry(part.filter, part.states, k)
         bag.write(encode(f"/{ODOMETRY}", state.stamp_ns, _message(state, in_odom, state.in_odom)))
+        if parameters.publish_tf:
+            bag.write(encode(TF, state.stamp_ns, transforms.of(state)))
         if replayed.has_map:
             message = _message(state, in_map, state.in_map)
             bag.write(encode(f"/{GLOBAL_ODOMETRY}", state.stamp_ns, message))

@@ -1,32 +1,39 @@
 """What goes to /tf: odom -> base_link and, where there is a map, map -> odom."""
 
+from collections.abc import Callable
 from math import cos, sin
 from typing import Any
-
-from geometry_msgs.msg import TransformStamped
 
 from insdvl.messages.make import fill_transform
 from insdvl.navigation.odometry import Odometry
 from insdvl.navigation.parameters import FilterParameters
+
+#: Topics of transforms, their type, and that of its elements.
+TF, TF_STATIC = "/tf", "/tf_static"
+TF_MESSAGE = "tf2_msgs/msg/TFMessage"
+TRANSFORM = "geometry_msgs/msg/TransformStamped"
 
 
 class Transforms:
     """Fills one message of /tf, again and again: it is serialised when it is sent.
 
     Args:
-        message_type: tf2_msgs/TFMessage.
+        new: Makes a message of a type, ``package/msg/Name``.
         parameters: Of the filter.
         has_map: Whether there is a map.
     """
 
     def __init__(
-        self, message_type: type[Any], parameters: FilterParameters, *, has_map: bool
+        self, new: Callable[[str], Any], parameters: FilterParameters, *, has_map: bool
     ) -> None:
-        self._of_base = TransformStamped(child_frame_id=parameters.base_frame)
-        self._of_base.header.frame_id = parameters.odom_frame
-        self._of_odom = TransformStamped(child_frame_id=parameters.odom_frame)
-        self._of_odom.header.frame_id = parameters.map_frame
-        self._message = message_type()
+        def transform(parent: str, child: str) -> Any:
+            stamped = new(TRANSFORM)
+            stamped.header.frame_id, stamped.child_frame_id = parent, child
+            return stamped
+
+        self._of_base = transform(parameters.odom_frame, parameters.base_frame)
+        self._of_odom = transform(parameters.map_frame, parameters.odom_frame)
+        self._message = new(TF_MESSAGE)
         self._message.transforms = [self._of_base, *([self._of_odom] if has_map else [])]
 
     def of(self, output: Odometry) -> Any:
