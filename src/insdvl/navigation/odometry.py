@@ -54,7 +54,7 @@ class Odometry:
         position: (3,) in map [m]; map is odom where no absolute input is used.
         quaternion_xyzw: (4,) attitude of base_link in map, tilt against the local level.
         pose_covariance: (6, 6) of position and of the rotation about map's axes [m, rad].
-        in_odom: The same pose seen in odom.
+        odom_position, odom_quaternion_xyzw, odom_covariance: The same pose seen in odom.
         map_to_odom: (4,) position of odom in map [m] and yaw of its axes [rad].
         twist_linear: (3,) velocity in body axes [m/s].
         twist_angular: (3,) turn rate against map and odom in body axes [rad/s].
@@ -67,7 +67,9 @@ class Odometry:
     position: Array
     quaternion_xyzw: Array
     pose_covariance: Array
-    in_odom: Pose
+    odom_position: Array
+    odom_quaternion_xyzw: Array
+    odom_covariance: Array
     map_to_odom: Array
     twist_linear: Array
     twist_angular: Array
@@ -79,6 +81,11 @@ class Odometry:
     def in_map(self) -> Pose:
         """The pose in map."""
         return Pose(self.position, self.quaternion_xyzw, self.pose_covariance)
+
+    @property
+    def in_odom(self) -> Pose:
+        """The same pose in odom."""
+        return Pose(self.odom_position, self.odom_quaternion_xyzw, self.odom_covariance)
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +160,9 @@ def odometry(filter_: Filter, states: Records, k: int) -> Odometry:
         position=o["position"],
         quaternion_xyzw=o["quaternion_xyzw"][0],
         pose_covariance=o["pose_covariance"],
-        in_odom=Pose(o["odom_position"], o["odom_quaternion_xyzw"][0], o["odom_covariance"]),
+        odom_position=o["odom_position"],
+        odom_quaternion_xyzw=o["odom_quaternion_xyzw"][0],
+        odom_covariance=o["odom_covariance"],
         map_to_odom=o["map_to_odom"],
         twist_linear=o["twist_linear"],
         twist_angular=o["twist_angular"],
