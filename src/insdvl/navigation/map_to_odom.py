@@ -148,8 +148,16 @@ def _in_map(s: State, vehicle: Vehicle) -> tuple[Array, float]:
     nav = s["nav"]
     place = nav["llh"].copy()
     earth.move(place, -nav["C_n_b"] @ vehicle.l_b_imu)
-    p_m, gamma = odom.in_odom(place, _origin(s))
-    return p_m, float(gamma)
+    p_m = np.empty(3)
+    odom.position(p_m, place, _origin(s))
+    return p_m, _north(s, place)
+
+
+def _north(s: State, place: Array) -> float:
+    """Direction of north at a place in map [rad]."""
+    C = np.empty((3, 3))
+    odom.axes(C, place, _origin(s))
+    return float(odom.convergence(C))
 
 
 def _turn(angle: float) -> Array:
@@ -160,8 +168,7 @@ def _turn(angle: float) -> Array:
 
 def _to_odom(s: State, yaw: float) -> Array:
     """Rotation (3, 3) from north, east, down at the vehicle to odom's axes, whose yaw is given."""
-    gamma = float(odom.in_odom(s["nav"]["llh"], _origin(s))[1])
-    return _turn(gamma - yaw)
+    return _turn(_north(s, s["nav"]["llh"]) - yaw)
 
 
 def _from_reference(s: State, vehicle: Vehicle) -> Array:
