@@ -31,8 +31,8 @@ from insdvl.navigation.odometry import Odometry as FilterOdometry
 from insdvl.navigation.odometry import Pose, biases
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.start import gyrocompass
-from insdvl.parameters.declaration import ParameterError
 from insdvl.navigation.state import State
+from insdvl.parameters.declaration import ParameterError
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.jumps import TimeJump
 from insdvl.timeline.output import AppliedUpdate
