@@ -219,8 +219,10 @@ def test_what_runs_aboard_loads_four_packages(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("absent", "extras"),
-    [(set().union(*EXTRAS.values()), {"bags", "jobs", "plot"}), ({"sklearn"}, {"train"})],
-    ids=["all", "sklearn"],
+    [
+        pytest.param(set().union(*EXTRAS.values()), {"bags", "jobs", "plot"}, id="all"),
+        pytest.param({"sklearn"}, {"train"}, id="sklearn", marks=pytest.mark.long),
+    ],
 )
 def test_a_missing_package_is_told_with_its_extra(
     absent: set[str], extras: set[str], tmp_path: Path

@@ -35,10 +35,11 @@ def run(arguments: argparse.Namespace) -> int:
         warns=warnings.append,
     ):
         compile_all()
-    for warning in warnings:
-        print(f"insdvl warm: {warning}", file=sys.stderr)
     folder = kernels.cache_dir(Path(kernels.__file__))
+    if folder is None and not warnings:
+        warnings.append("no folder is writable: set INSDVL_CACHE_DIR")
     if folder is None or warnings:
+        print(f"insdvl warm: {'; '.join(warnings)}", file=sys.stderr)
         return 1
     print(f"ready in {folder.parent}, {time.monotonic() - begin:.0f} s in all")
     return 0
