@@ -2,6 +2,7 @@
 # make test         run the fast tests, 6 minutes on two quiet cores; ARGS="-k filter"
 # make test-all     run all tests, the long ones included, 40 minutes
 # make test-jazzy   run all tests with the library versions of ROS 2 Jazzy; needs Python 3.12
+# make test-core    run the fast tests of the core alone with those versions: no ROS, any platform
 # make results      recompute docs/results.md, about an hour; ARGS="--recordings DIR --config FILE"
 # make consistency  fly docs/results/consistency.md again, about 50 minutes on two quiet cores
 # make faults       fly the fault matrix of docs/reliability.md again, about half an hour
@@ -21,10 +22,10 @@ ARGS ?=
 # Two processes; the tests of one file stay together and share costly set-ups.
 PYTEST := pytest -n 2 --dist loadfile
 # Folders are listed too, so that a deleted file triggers a build.
-SOURCES := $(shell find src ros_insdvl ros_insdvl_sim models tools/build.sh tools/warm.py \
+SOURCES := $(shell find src ros_insdvl ros_insdvl_sim models tools/build.sh \
 	-name __pycache__ -prune -o -name '*.egg-info' -prune -o -print)
 
-.PHONY: demo test test-all test-jazzy bench bench-check results consistency faults soak clean
+.PHONY: demo test test-all test-jazzy test-core bench bench-check results consistency faults soak clean
 .DELETE_ON_ERROR:
 
 demo: .venv/.built
@@ -51,6 +52,9 @@ test-all: .venv/.built
 test-jazzy: .venv-jazzy/.built
 	AMENT_PREFIX_PATH=$(CURDIR)/.venv-jazzy .venv-jazzy/bin/$(PYTEST) $(ARGS)
 
+test-core: .venv-core/.built
+	.venv-core/bin/$(PYTEST) -m "not long" test/core $(ARGS)
+
 .venv/.installed: requirements.txt constraints.txt tools/environment.sh
 	@tools/environment.sh .venv
 	@touch $@
@@ -59,10 +63,20 @@ test-jazzy: .venv-jazzy/.built
 	@VERSIONS=3.12 tools/environment.sh .venv-jazzy constraints-jazzy.txt
 	@touch $@
 
+.venv-core/.installed: src/setup.py constraints.txt constraints-jazzy.txt tools/environment.sh
+	@CORE=yes VERSIONS=3.12 tools/environment.sh .venv-core constraints-jazzy.txt
+	@touch $@
+
+.venv-core/.built: .venv-core/.installed $(SOURCES)
+	@.venv-core/bin/python -m pip install --quiet --disable-pip-version-check \
+		--no-build-isolation --no-deps --force-reinstall ./src
+	@rm -rf src/build src/insdvl.egg-info
+	@touch $@
+
 %/.built: %/.installed $(SOURCES)
 	@tools/build.sh $*
 	@touch $@
 
 clean:
-	rm -rf .venv .venv-jazzy build install log
+	rm -rf .venv .venv-core .venv-jazzy build install log
 	find src ros_insdvl ros_insdvl_sim test -name __pycache__ -prune -exec rm -rf {} +

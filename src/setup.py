@@ -15,8 +15,8 @@ setup(
     version="0.1.0",
     description="INS/DVL navigation without ROS",
     maintainer="ros_insdvl maintainers",
-    maintainer_email="maintainers@ros-insdvl.example.com",
     license="Apache-2.0",
+    python_requires=">=3.10",
     packages=find_packages(),
     package_data={NAME: MODELS},
     data_files=[

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Builds our packages into a virtual environment, and compiles the hot functions once.
+# Builds our packages into a virtual environment, and compiles and caches the hot functions.
 #
 #   tools/build.sh FOLDER
 set -eu
@@ -20,5 +20,4 @@ mkdir -p build
     echo "The build failed: colcon says why above." >&2
     exit 1
 }
-echo "Warm-up: the hot functions are compiled and cached."
-"$python" tools/warm.py
+"$folder/bin/insdvl" warm

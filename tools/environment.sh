@@ -3,6 +3,8 @@
 #
 #   tools/environment.sh FOLDER                      pins of constraints.txt
 #   tools/environment.sh FOLDER constraints-X.txt    the same, except for what the second file pins
+#   CORE=yes tools/environment.sh FOLDER ...         the core and its tests, without ROS; the core
+#                                                    runs wherever its packages do
 #
 # PYTHON names the interpreter; without it the first suitable one on the PATH is taken, else one that
 # pyenv has (its command on the PATH does not run where that version is not selected).
@@ -17,12 +19,15 @@ stop() {
     exit 1
 }
 
-[ "$(uname -s) $(uname -m)" = "Linux x86_64" ] ||
-    stop "This needs Linux on x86-64, and this is $(uname -s) on $(uname -m): the ROS 2 wheels exist for nothing else."
-glibc=$(getconf GNU_LIBC_VERSION 2>/dev/null) ||
-    stop "This needs glibc 2.28 or newer, and this system has another C library: the ROS 2 wheels do not run on it."
-[ "$(printf '2.28\n%s\n' "${glibc#glibc }" | sort -V | head -n 1)" = 2.28 ] ||
-    stop "This needs glibc 2.28 or newer, and this system has $glibc."
+check_platform() {
+    [ "$(uname -s) $(uname -m)" = "Linux x86_64" ] ||
+        stop "This needs Linux on x86-64, and this is $(uname -s) on $(uname -m): the ROS 2 wheels exist for nothing else. The core alone: make test-core."
+    glibc=$(getconf GNU_LIBC_VERSION 2>/dev/null) ||
+        stop "This needs glibc 2.28 or newer, and this system has another C library: the ROS 2 wheels do not run on it."
+    [ "$(printf '2.28\n%s\n' "${glibc#glibc }" | sort -V | head -n 1)" = 2.28 ] ||
+        stop "This needs glibc 2.28 or newer, and this system has $glibc."
+}
+[ -n "${CORE-}" ] || check_platform
 
 # One line about an interpreter: "ok", or what is wrong with it.
 judge() {
@@ -69,7 +74,15 @@ done
     stop "This needs Python with venv, of version $versions, on the PATH or named by PYTHON=...; found: ${seen:-no Python}."
 
 pins=$folder/constraints.txt
-echo "Set-up: $("$python" --version) ($python) and the ROS 2 wheels go into $folder (once; about 1 GB, a few minutes)."
+if [ -n "${CORE-}" ]; then
+    # By its own setup.py: what it declares is what it needs.
+    what="--no-build-isolation ./src[bags,dask,jobs,onnx,plot,test,train] pytest-xdist"
+    size="the core with its packages go into $folder (once; about 700 MB"
+else
+    what="--no-build-isolation --requirement requirements.txt"
+    size="the ROS 2 wheels go into $folder (once; about 1 GB"
+fi
+echo "Set-up: $("$python" --version) ($python) and $size, a few minutes)."
 rm -rf "$folder"
 "$python" -m venv "$folder"
 if [ -n "$other_pins" ]; then
@@ -80,5 +93,6 @@ else
 fi
 # Source distributions are built with the pinned setuptools, so that nothing unpinned is fetched.
 pip="$folder/bin/python -m pip install --quiet --disable-pip-version-check --constraint $pins"
-{ $pip setuptools wheel && $pip --no-build-isolation --requirement requirements.txt; } ||
+# shellcheck disable=SC2086
+{ $pip setuptools wheel && $pip $what; } ||
     stop "The packages could not be installed: pip says why above (the first set-up needs the network)."

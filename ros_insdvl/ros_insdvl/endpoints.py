@@ -17,18 +17,27 @@ TURN = 20
 
 
 class Output:
-    """A publisher that counts what it sends."""
+    """A publisher that counts what it sends.
+
+    Attributes:
+        publisher: The publisher.
+        count: Number of messages sent.
+        takers: Nodes of this process that are given each message, see `InsdvlNode.hand_on`.
+    """
 
     def __init__(self, node: Node, message_type: type[Any], topic: str, qos: QoSProfile) -> None:
         self.publisher = node.create_publisher(
             message_type, topic, qos, qos_overriding_options=overridable()
         )
         self.count = 0
+        self.takers: list[Callable[[Any], None]] = []
 
     def send(self, message: Any) -> None:
         """Publish a message; it is serialised here, so the caller may use it again."""
         self.publisher.publish(message)
         self.count += 1
+        for take in self.takers:
+            take(message)
 
     @property
     def listeners(self) -> int:

@@ -1,8 +1,8 @@
-"""A node as a process: its start, its executor, its end and the exit code."""
+"""Nodes as a process: their start, their executor, their end and the exit code."""
 
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import rclpy
@@ -14,7 +14,15 @@ from ros_insdvl.node import InsdvlNode
 
 
 def run_node(factory: Callable[[], InsdvlNode[Any]]) -> int:
-    """Make a node and spin it until it finishes, is interrupted or is terminated.
+    """Make a node and spin it until it finishes, see `run_nodes`."""
+    return run_nodes(lambda: [factory()])
+
+
+def run_nodes(factory: Callable[[], Iterable[InsdvlNode[Any]]]) -> int:
+    """Make nodes and spin them until one finishes, is interrupted or is terminated.
+
+    Args:
+        factory: Makes them, one after the other.
 
     Returns:
         The exit code: 0 after SIGINT or SIGTERM, 2 for a wrong parameter (one line on stderr names
@@ -33,20 +41,20 @@ def run_node(factory: Callable[[], InsdvlNode[Any]]) -> int:
         rclpy.try_shutdown()
 
 
-def _spin(factory: Callable[[], InsdvlNode[Any]], nodes: list[InsdvlNode[Any]]) -> int:
-    """As `run_node`, which takes down the node that is put into ``nodes``."""
+def _spin(factory: Callable[[], Iterable[InsdvlNode[Any]]], nodes: list[InsdvlNode[Any]]) -> int:
+    """As `run_nodes`, which takes down the nodes that are put into ``nodes``."""
     try:
         _init()
     except RuntimeError as error:  # base class of rcl's errors
         print(f"cannot start ROS: {error}", file=sys.stderr)
         return 2
     try:
-        node = factory()
-        nodes.append(node)
         executor = SingleThreadedExecutor()
-        executor.add_node(node)
-        _turn(executor, node)
-        return int(node.finished.result()) if node.finished.done() else 0
+        for node in factory():
+            nodes.append(node)
+            executor.add_node(node)
+        _turn(executor, nodes)
+        return next((int(n.finished.result()) for n in nodes if n.finished.done()), 0)
     except (ParameterError, InvalidParameterTypeException) as error:
         print(error, file=sys.stderr)
         return 2
@@ -71,14 +79,16 @@ def _init() -> None:
         print(f"no log file, the log goes to the terminal only: {error}", file=sys.stderr)
 
 
-def _turn(executor: SingleThreadedExecutor, node: InsdvlNode[Any]) -> None:
-    """Handle messages until the node finishes; no message, whatever its content, ends this.
+def _turn(executor: SingleThreadedExecutor, nodes: Sequence[InsdvlNode[Any]]) -> None:
+    """Handle messages until a node finishes; no message, whatever its content, ends this.
 
-    Only here: an executor of a test raises what a callback raises.
+    Only here: an executor of a test raises what a callback raises. An executor does not tell whose
+    callback it was: the first node counts the error.
     """
     # rclpy's own spin_until_future_complete adds such a callback with every turn and forgets none.
-    node.finished.add_done_callback(lambda future: executor.wake())
-    while rclpy.ok() and not node.finished.done():
+    for node in nodes:
+        node.finished.add_done_callback(lambda future: executor.wake())
+    while rclpy.ok() and not any(node.finished.done() for node in nodes):
         try:
             executor.spin_once()
         except ExternalShutdownException:
@@ -86,7 +96,7 @@ def _turn(executor: SingleThreadedExecutor, node: InsdvlNode[Any]) -> None:
         except Exception as error:
             if not rclpy.ok():  # interrupted: the middleware is gone
                 return
-            node.fail(error)
+            nodes[0].fail(error)
 
 
 def _ignore_interrupts() -> None:

@@ -6,7 +6,6 @@ published. No number depends on a timer or on the clock.
 
 import sys
 from collections import Counter
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,21 +23,18 @@ from insdvl.messages.inputs import frame_id_of
 from insdvl.messages.make import fill_fix, fill_imu, fill_innovation, fill_odometry
 from insdvl.messages.topics import GLOBAL_ODOMETRY, GLOBAL_POSITION, ODOMETRY, Topic
 from insdvl.messages.transforms import TF, TF_MESSAGE, TF_STATIC, Transforms
-from insdvl.navigation.events import NS, Event, Measurement, ProcessNoise
+from insdvl.navigation.events import NS, Measurement
 from insdvl.navigation.events import Imu as ImuSample
-from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.odometry import Odometry as FilterOdometry
 from insdvl.navigation.odometry import Pose, biases
 from insdvl.navigation.parameters import FilterParameters
-from insdvl.navigation.start import gyrocompass
 from insdvl.navigation.state import State
 from insdvl.parameters.declaration import ParameterError
-from insdvl.timeline.fold import Fold
+from insdvl.timeline.compilation import compile_fold
 from insdvl.timeline.jumps import TimeJump
 from insdvl.timeline.output import AppliedUpdate
 from insdvl.timeline.state_file import StateFile
-from insdvl.watch.alignment.check import AlignmentCheck
-from insdvl.watch.alignment.windows import integrated
+from insdvl.watch.alignment.check import compile_check
 from insdvl.watch.start import heading_news, is_heading_known, report_of_start
 from ros_insdvl.conversions import message_class, new_message
 from ros_insdvl.endpoints import Output
@@ -50,48 +46,6 @@ from ros_insdvl.status.filter.watch import FilterWatch
 from ros_insdvl.waiting import Waiting
 
 DISCOVERY_PERIOD = 0.1  # s of the steady clock between two looks for the type of a topic
-
-
-def compile_kernels(parameters: FilterParameters) -> None:
-    """Run a filter for a moment, so that no message ever waits for a compilation.
-
-    Its measurements come between two samples, as those of a sensor do, and its channels freeze. The
-    first one corrects so much that it is of second order, the next one is ordinary.
-    """
-    fold = Fold(
-        replace(
-            parameters,
-            initial=replace(
-                parameters.initial,
-                mode="parameters",
-                heading="auto",
-                velocity_std=100.0,
-                tilt_std=0.1,
-            ),
-            origin=replace(parameters.origin, source="parameters"),
-            imu=replace(parameters.imu, frozen_samples=2),
-            gate=replace(parameters.gate, enabled=False),
-            output_delay=0.0,
-        )
-    )
-    check = AlignmentCheck(parameters)
-    step = round(NS / parameters.imu.rate)
-    events: list[Event] = [
-        ImuSample(k * step, np.array([0.0, 0.0, -9.8]), np.zeros(3)) for k in range(1, 5)
-    ]
-    events += [
-        ProcessNoise(2 * step - step // 2, np.eye(3), np.eye(3)),
-        Dvl(3 * step - step // 2, np.full(3, 0.01)),
-        Dvl(4 * step - step // 2, np.full(3, 0.02)),
-    ]
-    for event in events:
-        fold.add(event)
-        check.add(event)
-    check.add(Dvl(4 * step, np.full(3, 0.01)))
-    stamps, zeros = step * np.arange(1, 4), np.zeros((3, 3))
-    integrated(stamps, zeros, zeros, stamps, zeros, 0.0)  # as the check does after a window
-    fold.take()
-    gyrocompass.jacobian(np.eye(3), 0.0, 0.0)  # calls the Earth's rate and gravity, as a start does
 
 
 def chosen_type(name: str, topic: Topic, found: set[str]) -> str:
@@ -121,7 +75,9 @@ class FilterNode(InsdvlNode[FilterParameters]):
     def __init__(self, **options: Any) -> None:
         super().__init__("insdvl_filter", FilterParameters, **options)
         parameters = self.parameters
-        compile_kernels(parameters)
+        with self.compiling():
+            compile_fold(parameters)
+            compile_check(parameters)
         self._waiting: Waiting | None = None  # for the extrinsics
         self._make_feed()
         if parameters.extrinsics == "tf":

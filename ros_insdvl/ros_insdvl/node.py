@@ -4,6 +4,8 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Callable
+from contextlib import AbstractContextManager
+from functools import partial
 from typing import Any, Generic, TypeVar
 
 from rcl_interfaces.msg import SetParametersResult
@@ -13,6 +15,7 @@ from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 
+from insdvl import kernels
 from insdvl.messages.convert import RejectedMessage
 from insdvl.messages.refusals import Refused
 from insdvl.parameters.declaration import ParameterError
@@ -66,6 +69,9 @@ class InsdvlNode(Node, Generic[_Group]):
         self.unheard: dict[str, str] = {}
         self.outputs: dict[str, Output] = {}
         self.finished: Future = Future()
+        self._handlers: dict[str, Callable[[Any], None]] = {}
+        self._takers: dict[str, list[Callable[[Any], None]]] = {}
+        self._given: set[str] = set()  # inputs that another node of this process hands on
         self._heard: dict[str, float] = {}
         self._unexpected = UnexpectedErrors()
 
@@ -92,6 +98,7 @@ class InsdvlNode(Node, Generic[_Group]):
         takes the message's bytes.
         """
         self.received.setdefault(topic, 0)
+        takers = self._takers.setdefault(topic, [])
 
         def handle(message: Any) -> None:
             self.received[topic] += 1
@@ -100,7 +107,13 @@ class InsdvlNode(Node, Generic[_Group]):
                 callback(message)
             except RejectedMessage as rejection:
                 self.reject(topic, rejection.reason, str(rejection))
+            finally:
+                for take in takers:
+                    take(message)
 
+        self._handlers[topic] = handle
+        if topic in self._given:
+            return
         self.inputs[topic] = subscribe(
             self,
             message_type,
@@ -114,6 +127,44 @@ class InsdvlNode(Node, Generic[_Group]):
     def ignore(self, topic: str) -> None:
         """End a subscription."""
         self.destroy_subscription(self.inputs.pop(topic))
+
+    def hand_on(self, topic: str, taker: "InsdvlNode[Any]") -> None:
+        """Give the messages of a topic to another node of this process, as they are here.
+
+        Those of an input when this node has handled them, those of an output when they are sent.
+        The other node ends its subscription, and counts and handles them as if they came by it.
+
+        Args:
+            topic: An input or output of this node, and an input of the other.
+            taker: The other node.
+        """
+        taker.ignore(topic)
+        taker._given.add(topic)
+        take = partial(taker._take, topic)
+        if topic in self.outputs:
+            self.outputs[topic].takers.append(take)
+        else:
+            self._takers[topic].append(take)
+            taker.inputs[topic] = self.inputs[topic]  # to which the other's connections belong now
+
+    def _take(self, topic: str, message: Any) -> None:
+        """Handle a message of another node, which no error of this one reaches."""
+        try:
+            self._handlers[topic](message)
+        except Exception as error:
+            self.fail(error)
+
+    def compiling(self) -> AbstractContextManager[None]:
+        """Say in the log what the first start of a version compiles, and how long that takes."""
+        log = self.get_logger()
+        return kernels.compiling(
+            begins=lambda: log.info(
+                "compiling, once for this version on this computer: about a minute, on a small "
+                "computer some minutes; `insdvl warm` does it in advance"
+            ),
+            ends=lambda seconds: log.info(f"compiled in {seconds:.0f} s"),
+            warns=log.warning,
+        )
 
     def reject(self, topic: str, reason: str, detail: str) -> None:
         """Count a message that is not used; the first of each reason is logged."""

@@ -40,7 +40,8 @@ class TunerNode(InsdvlNode[TunerParameters]):
         """
         super().__init__("insdvl_tuner", TunerParameters, **options)
         try:
-            self._tuner = Tuner(self.parameters)
+            with self.compiling():
+                self._tuner = Tuner(self.parameters)
         except (ModelError, ParameterError) as error:
             self.get_logger().fatal(str(error))
             self.destroy_node()

@@ -34,7 +34,8 @@ class Simulator(Player[SimulatorParameters]):
         super().__init__("insdvl_simulator", SimulatorParameters, **options)
         parameters = self.parameters
         try:
-            self._mission = mission_of(parameters)
+            with self.compiling():
+                self._mission = mission_of(parameters)
         except ParameterError:
             self.destroy_node()
             raise

@@ -25,6 +25,7 @@ COMMANDS = {
         "insdvl.studies.consistency.command",
         "recompute the page on consistency: is the filter as good as it says?",
     ),
+    "warm": ("insdvl.studies.warm", "compile all functions and cache them, for the first start"),
 }
 
 

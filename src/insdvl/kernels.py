@@ -1,8 +1,9 @@
 """Compilation of the hot functions with numba, and the cache of the compiled functions.
 
-The cache is in ``$INSDVL_CACHE_DIR``, or in the user's cache folder. If neither is writable, the
-functions are compiled in memory, with one warning. A full, damaged or read-only cache never stops a
-program; it costs compile time and one warning.
+The cache is in ``$INSDVL_CACHE_DIR``, or in the user's cache folder. One that is filled may be
+read-only, as in an image. If there is none to read or to write, the functions are compiled in
+memory, with one warning. A full, damaged or read-only cache never stops a program; it costs compile
+time and one warning.
 
 Cached functions are executed, as are the files in Python's ``__pycache__``. A folder that belongs
 to another user or is world-writable is therefore not used.
@@ -21,14 +22,21 @@ import os
 import stat
 import sys
 import tempfile
+import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
-from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.caching import (
+    CompileResultCacheImpl,
+    FunctionCache,
+    NullCache,
+    _CacheLocator,
+)
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -39,7 +47,46 @@ class CacheWarning(UserWarning):
     """The compiled functions cannot be cached on disk; programs work, but start slowly."""
 
 
+@dataclass
+class _Listener:
+    """Who is told of a compilation, see `compiling`."""
+
+    begins: Callable[[], None]
+    warns: Callable[[str], None]
+    began: float | None = None  # on the monotonic clock [s]
+
+
+_listeners: list[_Listener] = []
 _warned: list[str] = []
+
+
+@contextlib.contextmanager
+def compiling(
+    begins: Callable[[], None], ends: Callable[[float], None], warns: Callable[[str], None]
+) -> Iterator[None]:
+    """Tell of the compilation of functions that are called within and are not cached.
+
+    Args:
+        begins: Called before the first of them is compiled; never if all are cached.
+        ends: Called at the end, with the time since then [s].
+        warns: Called in the place of the warning about the cache.
+    """
+    listener = _Listener(begins, warns)
+    _listeners.append(listener)
+    try:
+        yield
+    finally:
+        _listeners.remove(listener)
+        if listener.began is not None:
+            ends(time.monotonic() - listener.began)
+
+
+def _tell_compilation() -> None:
+    """A function is about to be compiled."""
+    for listener in _listeners:
+        if listener.began is None:
+            listener.began = time.monotonic()
+            listener.begins()
 
 
 def _warn_once(reason: str) -> None:
@@ -47,11 +94,14 @@ def _warn_once(reason: str) -> None:
     _warned.append(reason)
     if len(_warned) > 1:
         return
-    warnings.warn(
-        f"compiled functions are not cached ({reason}); set INSDVL_CACHE_DIR to a writable folder",
-        CacheWarning,
-        stacklevel=3,
+    text = (
+        f"compiled functions are not cached ({reason}); set INSDVL_CACHE_DIR to a writable folder"
     )
+    if _listeners:
+        _listeners[-1].warns(text)
+    else:
+        # Of no line of a file: Python would print that line below the warning.
+        warnings.warn_explicit(text, CacheWarning, _PACKAGE.name, 0)
 
 
 @cache
@@ -108,8 +158,8 @@ def _user_cache_dir() -> Path | None:
 
 
 @cache
-def cache_dir(source: Path) -> Path | None:
-    """Folder for the compiled functions of a file, or None if no folder is writable."""
+def _folder(source: Path) -> tuple[Path | None, str]:
+    """Folder for the compiled functions of a file; None, and why, if no folder is writable."""
     named = os.environ.get("INSDVL_CACHE_DIR")
     candidates = [Path(named)] if named else []
     user = _user_cache_dir()
@@ -125,12 +175,59 @@ def cache_dir(source: Path) -> Path | None:
             status = folder.stat()
             if status.st_uid not in (0, os.getuid()) or status.st_mode & stat.S_IWOTH:
                 raise PermissionError(errno.EPERM, "owned by another user or world-writable")
-            with tempfile.TemporaryFile(dir=folder):
-                return folder
+            try:
+                with tempfile.TemporaryFile(dir=folder):
+                    return folder, ""
+            except OSError:
+                if any(folder.glob("*.nbi")):  # what it has can be read
+                    return folder, ""
+                raise
         except OSError as error:
             reason = f"{folder}: {error.strerror or error}"
-    _warn_once(reason)
-    return None
+    return None, reason
+
+
+def cache_dir(source: Path) -> Path | None:
+    """Folder for the compiled functions of a file, or None if no folder is writable."""
+    return _folder(source)[0]
+
+
+class _NoCache(NullCache):
+    """Of a function that cannot be cached."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__()
+        self._reason = reason
+
+    def load_overload(self, sig: Any, target_context: Any) -> None:
+        _tell_compilation()
+        _warn_once(self._reason)
+
+
+class _Locator(_CacheLocator):
+    """Where the compiled form of a function is: in `cache_dir`, which may be read-only."""
+
+    def __init__(self, function: Callable[..., Any], folder: Path) -> None:
+        self._function = function
+        self._folder = folder
+
+    @classmethod
+    def from_function(cls, py_func: Callable[..., Any], py_file: str) -> "_Locator | None":
+        folder = cache_dir(Path(py_file))
+        return None if folder is None else cls(py_func, folder)
+
+    def get_cache_path(self) -> str:
+        return str(self._folder)
+
+    def get_source_stamp(self) -> str:
+        return self._folder.name
+
+    def get_disambiguator(self) -> str:
+        return str(self._function.__code__.co_firstlineno)
+
+
+class _Implementation(CompileResultCacheImpl):
+    _locator_classes = [_Locator]  # noqa: RUF012
 
 
 class _ForgivingCache(FunctionCache):
@@ -140,23 +237,19 @@ class _ForgivingCache(FunctionCache):
     source uses the same cache. A damaged or full cache gives a warning, not an exception.
     """
 
-    def __init__(self, function: Callable[..., Any], folder: Path) -> None:
-        super().__init__(function)
-        self._cache_path = str(folder)
-        self._cache_file = IndexDataCacheFile(
-            cache_path=self._cache_path,
-            filename_base=self._impl.filename_base,
-            source_stamp=folder.name,
-        )
+    _impl_class = _Implementation
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
+        found = None
         try:
-            return super().load_overload(sig, target_context)
+            found = super().load_overload(sig, target_context)
         except Exception as error:  # unpickling a damaged file may raise anything
             _warn_once(f"damaged cache: {error!r}")
             with contextlib.suppress(OSError):  # saving fails in the same way and warns
                 self.flush()  # otherwise a damaged index would stay
-            return None
+        if found is None:
+            _tell_compilation()
+        return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
         try:
@@ -172,14 +265,6 @@ def kernel(function: _Function) -> _Function:
     Floating-point operations are never reordered, so results are reproducible to the bit.
     """
     dispatcher: Any = numba.njit(error_model="numpy", nogil=True)(function)
-    folder = cache_dir(Path(function.__code__.co_filename))
-    if folder is not None:
-        config: Any = numba.config
-        previous, config.CACHE_DIR = config.CACHE_DIR, str(folder)
-        try:
-            dispatcher._cache = _ForgivingCache(function, folder)
-        except RuntimeError as error:  # numba finds no cache location for this function
-            _warn_once(str(error))
-        finally:
-            config.CACHE_DIR = previous
+    folder, reason = _folder(Path(function.__code__.co_filename))
+    dispatcher._cache = _NoCache(reason) if folder is None else _ForgivingCache(function)
     return cast(_Function, dispatcher)

@@ -35,6 +35,10 @@ from insdvl.kernels import kernel
 @kernel
 def add(a, b):
     return a + b
+
+@kernel
+def twice(a):
+    return add(a, a)
 """
 
 
@@ -46,16 +50,31 @@ class Outcome:
         self.hits = int(hits)
 
 
+TELLING = """
+import sys
+{before}
+from insdvl import kernels
+from kernel_of_test import add, twice
+def say(*words):
+    print(*words)
+with kernels.compiling(
+    lambda: say("begins"), lambda s: say("ends", s > 0.0), lambda text: say("warns", text)
+):
+    add(1.0, 2.0)
+    twice(1.0)
+"""
+
+
 @pytest.fixture
-def run(tmp_path):
-    """Compile and call a function in a new interpreter, with a home and a cache of its own."""
+def execute(tmp_path):
+    """The output of a program in a new interpreter, with a home and a cache of its own."""
     module = tmp_path / "module"
     module.mkdir()
     (module / "kernel_of_test.py").write_text(KERNEL)
     home = tmp_path / "home"
     home.mkdir()
 
-    def run(before="", **variables):
+    def execute(program, before="", **variables):
         environment = {
             name: value
             for name, value in os.environ.items()
@@ -67,16 +86,22 @@ def run(tmp_path):
         )
         environment |= {"HOME": str(home), **{k: str(v) for k, v in variables.items()}}
         done = subprocess.run(
-            [sys.executable, "-c", PROGRAM.format(before=before)],
+            [sys.executable, "-c", program.format(before=before)],
             env={name: value for name, value in environment.items() if value != "None"},
             cwd=tmp_path,
             capture_output=True,
             text=True,
         )
         assert done.returncode == 0, done.stderr
-        return Outcome(done.stdout)
+        return done
 
-    return run
+    return execute
+
+
+@pytest.fixture
+def run(execute):
+    """Compile and call a function."""
+    return lambda *before, **variables: Outcome(execute(PROGRAM, *before, **variables).stdout)
 
 
 def files(folder):
@@ -219,3 +244,49 @@ def test_a_folder_that_others_may_write_to_is_not_used(run, tmp_path):
 def test_the_folder_is_its_owners_whatever_the_mask(run, tmp_path):
     folder = run("import os; os.umask(0)", INSDVL_CACHE_DIR=tmp_path / "cache").folder
     assert folder.parent == tmp_path / "cache"
+
+
+#: Of a folder that has become read-only; root may write to any other.
+READ_ONLY = """
+import errno, os, tempfile
+def refuse(*_, **__):
+    raise OSError(errno.EROFS, "Read-only file system")
+tempfile.TemporaryFile = os.replace = refuse
+"""
+
+
+def test_a_filled_folder_may_be_read_only(run, tmp_path):
+    """As in the image of a vehicle's computer."""
+    run(INSDVL_CACHE_DIR=tmp_path / "cache")
+    outcome = run(READ_ONLY, INSDVL_CACHE_DIR=tmp_path / "cache")
+    assert outcome.folder.parent == tmp_path / "cache"
+    assert outcome.hits == 1
+    assert not outcome.warnings
+
+
+def test_an_empty_folder_that_is_read_only_is_not_used(run, tmp_path):
+    outcome = run(READ_ONLY, INSDVL_CACHE_DIR=tmp_path / "cache")
+    assert outcome.folder is None
+    (warning,) = outcome.warnings
+    assert "Read-only file system" in warning
+
+
+def test_a_compilation_is_told_once_and_only_where_one_is_needed(execute, tmp_path):
+    first = execute(TELLING, INSDVL_CACHE_DIR=tmp_path / "cache")
+    assert first.stdout.splitlines() == ["begins", "ends True"]
+    assert execute(TELLING, INSDVL_CACHE_DIR=tmp_path / "cache").stdout == ""
+
+
+def test_who_is_told_of_the_compilation_is_told_why_it_is_not_cached(execute):
+    done = execute(TELLING, INSDVL_CACHE_DIR="/dev/null/named", HOME="/dev/null")
+    begins, warns, ends = done.stdout.splitlines()
+    assert (begins, ends) == ("begins", "ends True")
+    assert warns.startswith("warns compiled functions are not cached (/dev/null")
+    assert done.stderr == ""
+
+
+def test_otherwise_the_warning_is_one_line(execute):
+    program = "import kernel_of_test\n{before}\nkernel_of_test.add(1.0, 2.0)"
+    done = execute(program, INSDVL_CACHE_DIR="/dev/null/named", HOME="/dev/null")
+    (line,) = done.stderr.splitlines()
+    assert "CacheWarning: compiled functions are not cached" in line

@@ -112,12 +112,14 @@ def test_status_has_its_worst_complaint_first() -> None:
     status.complain(ERROR, "silent", "no imu")
     message = status.of_node("/auv/insdvl_filter")
     assert (message.level, message.message) == (ERROR, "no imu; 2 gaps")
-    assert message.name == "/auv/insdvl_filter: imu"
+    assert message.name == "auv/insdvl_filter: imu"
+    assert message.hardware_id == "none"
+    assert status.of_node("/insdvl_filter").name == "insdvl_filter: imu"
 
 
 def test_a_filter_that_gets_what_it_needs_has_nothing_to_tell() -> None:
     f = Filter()
-    assert wrong(f.look()) == {"imu": ERROR, "initialisation": WARN}
+    assert wrong(f.look()) == {"imu": WARN, "initialisation": WARN}
     f.dvl(START_NS + 3 * NS)
     f.samples(1, 301)
     assert wrong(f.look()) == {}
@@ -298,6 +300,39 @@ def test_a_dvl_outage_is_told_with_its_length_and_sigma_and_ends() -> None:
     f.dvl(at(699))
     f.samples(700, 701, NS // 10)
     assert wrong(f.look(10.0)) == {}  # the rejection had made the velocity uncertain
+
+
+def test_nothing_is_an_error_before_a_driver_can_be_up() -> None:
+    f = Filter()
+    for _ in range(29):
+        assert wrong(f.look()) == {"imu": WARN, "initialisation": WARN}
+    assert "waits for imu/data_raw: check the IMU's driver" in f.look(0.5)["imu"].message
+    statuses = f.look()
+    assert wrong(statuses) == {"imu": ERROR, "initialisation": WARN}
+    assert "no imu/data_raw received" in statuses["imu"].message
+
+
+def test_an_imu_that_stops_is_an_error_also_at_the_start() -> None:
+    f = Filter()
+    f.samples(1, 21)
+    f.silence["imu/data_raw"] = 4.2
+    assert wrong(f.look()) == {"imu": ERROR}
+
+
+def test_recoveries_are_told_with_the_measurement_that_they_are_of() -> None:
+    f = Filter(**{"depth.topic": "depth"})
+    f.samples(1, 21)
+    assert f.look()["dvl"].level == OK
+    state = f.fold._samples.states[f.fold._samples.count - 1]
+    state["gate"]["depth"]["inflations"] += 2
+    state["gate"]["dvl"]["restarts"] += 1
+    statuses = f.look()
+    assert "inflated after rejections, 2 times" in statuses["depth"].message
+    assert "restarted" not in statuses["depth"].message
+    assert "restarted from a measurement after rejections, 1 times" in statuses["dvl"].message
+    assert "inflated" not in statuses["dvl"].message
+    assert statuses["depth"].values["depth inflations"] == 2
+    assert statuses["dvl"].values["dvl restarts"] == 1
 
 
 def test_a_silent_imu_is_an_error_until_it_comes_back() -> None:

@@ -156,7 +156,7 @@ def test_monitor(bench: Any) -> None:
 
 
 def diagnostics(rng: np.random.Generator) -> DiagnosticArray:
-    names = ("/a/insdvl_filter: imu", "/b/insdvl_filter", "", ": ", "x" * 1000, "/a/insdvl_filter")
+    names = ("a/insdvl_filter: imu", "/b/insdvl_filter", "", ": ", "x" * 1000, "/a/insdvl_filter")
     keys = ("NIS dvl, mean of 100", "rate imu/data_raw [Hz]", "rejected imu: gate", "")
     values = ("3.0", "nan", "", "many", "-7", "1e400")
     statuses = [

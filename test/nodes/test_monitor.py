@@ -87,13 +87,13 @@ def test_diagnostics_and_noise_are_shown(graph: MonitorGraph) -> None:
         "rejected imu/data_raw: duplicate": "4",
     }
     dvl = DiagnosticStatus(
-        name="/b/insdvl_filter: dvl",
+        name="b/insdvl_filter: dvl",
         level=DiagnosticStatus.WARN,
         message="no DVL for 7 s",
         values=[KeyValue(key=key, value=value) for key, value in values.items()],
     )
-    imu = DiagnosticStatus(name="/b/insdvl_filter: imu", values=[KeyValue(key="gaps", value="2")])
-    other = DiagnosticStatus(name="/c/insdvl_filter: imu", level=DiagnosticStatus.ERROR)
+    imu = DiagnosticStatus(name="b/insdvl_filter: imu", values=[KeyValue(key="gaps", value="2")])
+    other = DiagnosticStatus(name="c/insdvl_filter: imu", level=DiagnosticStatus.ERROR)
     graph.send("/diagnostics", [DiagnosticArray(status=[imu, dvl, other])])
     assert graph.monitor.heard.report("/b/insdvl_filter").values == {**values, "gaps": "2"}
     learned = Imu()

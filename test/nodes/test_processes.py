@@ -132,7 +132,7 @@ def test_two_processes_lose_nothing(peer: Peer) -> None:
     ("module", "kind", "gap"),
     [
         ("filter", signal.SIGINT, 0.0),  # two at once may become one
-        ("filter", signal.SIGTERM, 0.05),
+        pytest.param("filter", signal.SIGTERM, 0.05, marks=pytest.mark.long),
         ("monitor", signal.SIGTERM, 0.005),
     ],
 )
@@ -146,7 +146,7 @@ def test_interrupted_twice_it_ends_cleanly(
     peer.until(lambda: peer.node.count_subscribers(topic) == 0)
 
 
-@pytest.mark.parametrize("gap", [0.005, 0.05])
+@pytest.mark.parametrize("gap", [0.005, pytest.param(0.05, marks=pytest.mark.long)])
 def test_interrupted_under_load_it_ends_cleanly(peer: Peer, gap: float) -> None:
     received: list[Odometry] = []
     peer.node.create_subscription(Odometry, "odometry/filtered", received.append, RELIABLE)

@@ -101,7 +101,7 @@ def test_the_first_rows_navigate_the_right_way(terminals: Terminals) -> None:
     terminals.start_untold()
 
     def untold_says() -> bool:
-        status = terminals.status("/untold/insdvl_filter: initialisation")
+        status = terminals.status("untold/insdvl_filter: initialisation")
         return status is not None and "heading unknown" in status.message
 
     def flown() -> bool:
@@ -116,7 +116,7 @@ def test_the_first_rows_navigate_the_right_way(terminals: Terminals) -> None:
         sigma = math.sqrt(filtered.pose.covariance[35])
         assert sigma < math.radians(5.0)
         assert abs(error) < 3 * sigma
-    status = terminals.status("/untold/insdvl_filter: initialisation")
+    status = terminals.status("untold/insdvl_filter: initialisation")
     assert status is not None and status.level == DiagnosticStatus.WARN
     assert "set initial.mode:=topic" in status.message  # the argument of the printed row
     assert terminals.untold[-1].pose.covariance[35] > math.radians(60.0) ** 2

@@ -206,7 +206,7 @@ def test_behind_duplication_and_reordering_the_filter_gives_the_same_bits(graph:
     }
 
 
-@pytest.mark.parametrize("loss", [0.01, 0.1])
+@pytest.mark.parametrize("loss", [pytest.param(0.01, marks=pytest.mark.long), 0.1])
 def test_behind_loss_the_missing_samples_are_told_and_the_velocity_stays_good(
     graph: Any, loss: float
 ) -> None:

@@ -18,6 +18,7 @@ from ros_insdvl_sim.trials.process_rows.judgement import samples_without_output
 from ros_insdvl_sim.trials.process_rows.rows import ROWS
 
 
+@pytest.mark.long  # the soak below flies the same processes
 def test_a_fault_row_of_the_network_is_met(tmp_path: Path) -> None:
     options = faults.parse(["--short", "--parts", "processes", "--out", str(tmp_path)])
     assert faults.fly_matrix(options) == 0

@@ -51,6 +51,16 @@ def _imported(name: str) -> frozenset[str]:
     return frozenset(found)
 
 
+def imported_by_launch_files(package: str) -> set[str]:
+    """Top-level packages that the launch files of a package of ours import, Python's aside."""
+    found = set()
+    for path in (ROOT / PACKAGES[package] / "launch").glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom):
+                found.add(package_of(str(node.module)))
+    return found - set(sys.stdlib_module_names)
+
+
 def ours(name: str) -> frozenset[str]:
     """Our modules that a module imports."""
     return _imported(name) & modules().keys()

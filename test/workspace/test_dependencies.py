@@ -122,6 +122,7 @@ def test_the_tests_of_the_core_need_what_is_ashore() -> None:
 @pytest.mark.parametrize("package", ["ros_insdvl", "ros_insdvl_sim"])
 def test_package_xml_declares_what_is_used(package: str) -> None:
     used = third_party(package) | imported_packages(package) | extras_of(package)
+    used |= sources.imported_by_launch_files(package)
     assert depends(package, "exec_depend") == rosdep_keys(used)
 
 
@@ -149,6 +150,8 @@ def test_readme_names_what_rosdep_cannot_give() -> None:
     used = set().union(*(third_party(package) for package in PACKAGES)) & PIP_ONLY
     (line,) = re.findall(r"^pip install (.*)$", (ROOT / "README.md").read_text(), re.MULTILINE)
     assert set(line.split()) >= used
+    page = (ROOT / "docs" / "how-to" / "aboard.md").read_text()
+    assert set(re.findall(r"`pip install ([\w-]+)`", page)) == set(line.split())
 
 
 @pytest.mark.parametrize("version", PYTHONS)
@@ -216,8 +219,10 @@ def test_what_runs_aboard_loads_four_packages(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("absent", "extras"),
-    [(set().union(*EXTRAS.values()), {"bags", "jobs", "plot"}), ({"sklearn"}, {"train"})],
-    ids=["all", "sklearn"],
+    [
+        pytest.param(set().union(*EXTRAS.values()), {"bags", "jobs", "plot"}, id="all"),
+        pytest.param({"sklearn"}, {"train"}, id="sklearn", marks=pytest.mark.long),
+    ],
 )
 def test_a_missing_package_is_told_with_its_extra(
     absent: set[str], extras: set[str], tmp_path: Path

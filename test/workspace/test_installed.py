@@ -18,7 +18,7 @@ SOURCES = {
     "ros_insdvl_sim": ROOT / "ros_insdvl_sim",
 }
 EXECUTABLES = {
-    "ros_insdvl": {"filter", "monitor", "tuner"},
+    "ros_insdvl": {"filter", "monitor", "navigator", "tuner"},
     "ros_insdvl_sim": {"demo", "faults", "relay", "replay", "simulator", "soak"},
 }
 #: What an interpreter outside of the repository sees: the installed packages only.
@@ -92,7 +92,8 @@ def test_models_are_installed(installed: Installed) -> None:
 def test_data_files_are_installed(package: str) -> None:
     share = Path(get_package_share_directory(package))
     assert contents(share, "*.xml") == contents(SOURCES[package], "*.xml")
-    assert contents(share / "config") == contents(SOURCES[package] / "config")
+    for folder in ("config", "launch"):
+        assert contents(share / folder) == contents(SOURCES[package] / folder)
 
 
 def test_discovery_profile_is_installed() -> None:

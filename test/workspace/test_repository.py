@@ -6,7 +6,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 NOT_OURS = {"build", "install", "log", "demo-output", "__pycache__"}
-MACHINE_PATH = re.compile(r"(?<![\w.~/-])/(?:home|opt|root|tmp|work)/[\w.-]+")
+#: Where ROS is installed is no path of one machine.
+MACHINE_PATH = re.compile(r"(?<![\w.~/-])/(?:home|opt(?!/ros)|root|tmp|work)/[\w.-]+")
 
 
 def texts(folder: Path = ROOT) -> Iterator[tuple[Path, str]]:

@@ -25,6 +25,9 @@ ERROR = DiagnosticStatus.ERROR
 RECENT = 10.0
 #: A topic without a message for longer than this is silent [s].
 SILENT = 2.0
+#: How long the driver of a topic may take to start, before its silence is an error [s]: serial
+#: devices and flight controllers take 5 to 15 s, devices that boot with the vehicle up to 30 s.
+START_TIME = 30.0
 
 _Key = TypeVar("_Key", bound=Hashable)
 
@@ -78,14 +81,17 @@ class Status:
     def of_node(self, node: str) -> DiagnosticStatus:
         """The status as a message.
 
+        It is named as diagnostic_updater names it. The namespace is kept, since two filters may be
+        in one graph; there is no hardware behind a status of ours.
+
         Args:
             node: The full name of the node.
         """
         return DiagnosticStatus(
             level=self.level,
-            name=f"{node}: {self.cause}",
+            name=f"{node.lstrip('/')}: {self.cause}",
             message=self.message,
-            hardware_id="insdvl",
+            hardware_id="none",
             values=[KeyValue(key=key, value=str(value)) for key, value in self.values.items()],
         )
 
@@ -137,7 +143,7 @@ class View:
         self.rejected: Tally[Refused] = Tally()
         self.events: Tally[str] = Tally()
         self.silence: dict[str, float] = {}
-        self._looked = now
+        self._began = self._looked = now
         self._elapsed = inf
 
     def look(
@@ -176,9 +182,14 @@ class View:
         return sum(n for refused, n in self.rejected.recent.items() if refused.topic == topic)
 
     def report_silence(self, status: Status, topic: str, level: bytes, remedy: str) -> None:
-        """Complain of an input that never had a message, or has none any more."""
+        """Complain of an input that never had a message, or has none any more.
+
+        In the first `START_TIME` seconds of the node it is waited for.
+        """
         silence = self.silence[topic]
-        if silence == inf:
+        if silence == inf and self._looked - self._began < START_TIME:
+            status.complain(min(level, WARN), "silent", f"waits for {topic}: {remedy}")
+        elif silence == inf:
             status.complain(level, "silent", f"no {topic} received: {remedy}")
         elif silence > SILENT:
             status.complain(level, "silent", f"no {topic} for {silence:.0f} s: {remedy}")

@@ -67,12 +67,12 @@ class HeardDiagnostics:
         self.changes: deque[Change] = deque(maxlen=CHANGES)
 
     def add(self, message: DiagnosticArray) -> None:
-        """Take a message of /diagnostics."""
+        """Take a message of /diagnostics, whose names of nodes have no leading slash."""
         now = time.monotonic()
         by_node: dict[str, dict[str, DiagnosticStatus]] = {}
         for status in message.status:
             node, _, cause = status.name.partition(": ")
-            by_node.setdefault(node, {})[cause] = status
+            by_node.setdefault(f"/{node.lstrip('/')}", {})[cause] = status
         for node, statuses in by_node.items():
             report = self.reports.setdefault(node, Report())
             heard = {

@@ -126,7 +126,13 @@ _GATE = (
     Field("doubt", NUMBER),
     Field("doubt_from_ns", STAMP),
     Field("doubt_for", COUNT),
+    # How often the covariance was inflated, and the state restarted from it, after rejections
+    Field("inflations", COUNT),
+    Field("restarts", COUNT),
 )
+
+#: Those of them that count events, and go on when the filter starts again.
+GATE_COUNTERS = ("inflations", "restarts")
 
 #: Channels of the IMU, in its axes, f x, y, z then w x, y, z.
 _CHANNELS = (
@@ -221,8 +227,6 @@ _COUNTERS = (
     Field("q_timeouts", COUNT),
     Field("floors", COUNT),
     Field("ceilings", COUNT),
-    Field("inflations", COUNT),
-    Field("restarts", COUNT),
     Field("without_origin", COUNT),
     Field("too_old", COUNT),  # initial states from long before the first sample
     Field("not_level", COUNT),  # levellings that were restarted
@@ -230,9 +234,6 @@ _COUNTERS = (
     Field("beyond_latitude", COUNT),  # steps that ended at the largest latitude
     Field("odom_resets", COUNT),  # further starts, and steps of odom
 )
-
-#: Counters in the state record, by their names in diagnostics.
-COUNTERS = tuple(field.name for field in _COUNTERS)
 
 
 @dataclass(frozen=True)
@@ -288,6 +289,23 @@ def part(s: State, path: Sequence[str]) -> State:
     for name in path:
         s = s[name]
     return s
+
+
+def counters(s: State) -> dict[str, tuple[State, str]]:
+    """Group and field of each counter in a record, by its name in diagnostics.
+
+    Those of a gate have the name of its measurement before them: ``dvl inflations``.
+    """
+    found = {field.name: (s["counters"], field.name) for field in _COUNTERS}
+    for measurement in s["gate"].dtype.names:
+        for name in GATE_COUNTERS:
+            found[gate_counter(measurement, name)] = s["gate"][measurement], name
+    return found
+
+
+def gate_counter(measurement: str, name: str) -> str:
+    """Name in diagnostics of a counter of a measurement's gate."""
+    return f"{measurement} {name}"
 
 
 def layout(measurements: Sequence[str], optional: int) -> Layout:

@@ -29,7 +29,7 @@ from insdvl.navigation.events import (
 from insdvl.navigation.filter import Filter
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.start import zero_velocity
-from insdvl.navigation.state import COUNTERS, NEVER, State
+from insdvl.navigation.state import NEVER, State, counters
 from insdvl.timeline.entries import Entries
 from insdvl.timeline.jumps import Run, Suspects, TimeJump
 from insdvl.timeline.output import (
@@ -126,8 +126,8 @@ class Fold:
         """
         self._clear()
         self._start[0] = record[0]
-        for name in COUNTERS:
-            self._start[0]["counters"][name] = 0
+        for group, name in counters(self._start[0]).values():
+            group[name] = 0
         stamp_ns = int(record[0]["channels"]["imu_ns"])
         self._samples.put_state(self._start, stamp_ns)
         self._published_ns = self._resumed_ns = stamp_ns
@@ -427,7 +427,7 @@ class Fold:
     def _state_counts(self) -> dict[str, int]:
         states = self.states
         s = states[-1] if len(states) else self._start[0]
-        return {name: int(s["counters"][name]) for name in COUNTERS}
+        return {shown: int(group[name]) for shown, (group, name) in counters(s).items()}
 
     def take(self) -> list[Output]:
         """What became publishable since the last call, in the order of stamps.

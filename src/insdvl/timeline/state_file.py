@@ -22,7 +22,7 @@ from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.state import COVARIANCE, NEVER, NUMBER, STAMP, Field, State, part
 from insdvl.parameters.declaration import flatten
 
-FORMAT = "insdvl state 4"
+FORMAT = "insdvl state 5"
 #: The line of JSON is no longer than this [bytes].
 MAX_HEADER = 65_536
 

@@ -140,7 +140,7 @@ def test_a_single_outlier_leaves_no_trace() -> None:
     assert sum(not u.report.accepted for u in spoilt.updates) == 1
     clean = fly(parameters(), m, v_d, without=at)
     np.testing.assert_allclose(spoilt.states["nav"]["v_n"], clean.states["nav"]["v_n"], atol=1e-9)
-    assert not any(spoilt.counts[name] for name in ("inflations", "restarts"))
+    assert not any(spoilt.counts[name] for name in ("dvl inflations", "dvl restarts"))
 
 
 def test_only_rejections_in_a_row_have_a_consequence() -> None:
@@ -151,7 +151,7 @@ def test_only_rejections_in_a_row_have_a_consequence() -> None:
     assert [not u.report.accepted for u in result.updates] == [
         k > 0 and k % 5 == 0 for k in range(len(v_d))
     ]
-    assert not any(result.counts[name] for name in ("inflations", "restarts"))
+    assert not any(result.counts[name] for name in ("dvl inflations", "dvl restarts"))
 
 
 @pytest.mark.parametrize("error_state", ["invariant", "ned"])
@@ -168,7 +168,7 @@ def test_a_filter_that_is_wrong_recovers(error_state: str) -> None:
     first = jump_at + LIMIT + 1
     assert reasons[jump_at:first] == ["gate"] * (LIMIT + 1)
     assert reasons[first:] == [""] * (len(reasons) - first)
-    assert result.counts["inflations"] == 1
+    assert result.counts["dvl inflations"] == 1
     error = body_velocity_error(result, m)[-1]
     np.testing.assert_allclose(error, -jump, atol=4 * DVL_STD)
 
@@ -191,7 +191,7 @@ def test_after_the_limit_the_velocity_may_be_what_makes_the_innovation() -> None
     expected = np.diag([1.0, 1.0, 1.0]) * square
     np.testing.assert_allclose(growth[VELOCITY, VELOCITY], expected, rtol=1e-3, atol=1e-3)
     np.testing.assert_allclose(growth[ATTITUDE, ATTITUDE], 0.0, atol=1e-5)
-    assert result.states["counters"]["inflations"][k - 1 : k + 1].tolist() == [0, 1]
+    assert result.states["gate"]["dvl"]["inflations"][k - 1 : k + 1].tolist() == [0, 1]
 
 
 def with_nonsense(m: Mission, at: int) -> np.ndarray:
@@ -232,7 +232,7 @@ def test_a_wrong_restart_is_left_again() -> None:
     """Nonsense for as long as it takes to restart, then good pings: these win in the end."""
     m = mission()
     result = fly(parameters(), m, with_nonsense(m, 10))
-    assert result.counts["restarts"] == 1
+    assert result.counts["dvl restarts"] == 1
     assert np.isfinite(P15(result.states)).all()
     good = [u.report.accepted for u in result.updates[-20:]]
     assert good == [True] * 20
@@ -273,7 +273,7 @@ def test_a_filter_that_nothing_has_borne_out_rejects_once() -> None:
     v_d[0] += [3.0, 0.0, 0.0]
     result = fly(parameters(max_rejection_time=60.0), m, v_d)
     assert [u.report.reason for u in result.updates] == ["gate"] + [""] * 59
-    assert (result.counts["inflations"], result.counts["restarts"]) == (1, 0)
+    assert (result.counts["dvl inflations"], result.counts["dvl restarts"]) == (1, 0)
     k = int(np.searchsorted(m.stamps_ns, m.dvl_stamps_ns[0]))
     assert np.abs(in_sigmas(result, m)[k]).max() < 3.0
     assert np.abs(body_velocity_error(result, m)[-1]).max() < 5 * DVL_STD
@@ -287,7 +287,7 @@ def test_trust_is_the_time_of_accepted_measurements_less_twice_that_of_outages(o
     k = int(np.searchsorted(m.stamps_ns, m.dvl_stamps_ns[30 + outage]))
     # The measurement behind the outage is outage + 1 s after the one before it.
     after = 30 if outage == 0 else max(29 - 2 * (outage + 1), 0)
-    assert result.counts["restarts"] == 0
+    assert result.counts["dvl restarts"] == 0
     assert result.states["gate"]["dvl"]["trusted_for"][k] == after * NS
     # The most is what the parameter says.
     bounded = fly(parameters(max_rejection_time=10.0), m, m.v_d)
@@ -430,7 +430,7 @@ def test_a_bias_of_half_a_minute_does_no_harm(
         error = np.linalg.norm(body_velocity_error(result, m), axis=1)
         # It goes without the DVL until one sigma is as large as the bias.
         assert error.max() < 3.0 * np.linalg.norm(direction)
-        assert not any(result.counts[name] for name in ("inflations", "restarts"))
+        assert not any(result.counts[name] for name in ("dvl inflations", "dvl restarts"))
     if variances[0] < 1e-2:
         assert all(refused)
     # Where the IMU drifts as fast as the bias ends, the end may be missed, and the sigma grows on.
@@ -457,7 +457,7 @@ def test_one_outlier_after_an_outage_restarts_nothing() -> None:
     v_d[20] += [30.0, 0.0, 0.0]
     result = fly(parameters(), m, v_d)
     assert [k for k, u in enumerate(result.updates) if not u.report.accepted] == [20]
-    assert not any(result.counts[name] for name in ("inflations", "restarts"))
+    assert not any(result.counts[name] for name in ("dvl inflations", "dvl restarts"))
 
 
 # ------------------------------------------------------------------ lost bottom lock
@@ -547,7 +547,7 @@ def test_an_outage_is_covered_and_left_smoothly(outage: float) -> None:
         result = fly(parameters(), m, m.v_d, seed=seed)
         assert len(result.updates) == 60
         rejected += sum(not u.report.accepted for u in result.updates)
-        assert not any(result.counts[name] for name in ("inflations", "restarts"))
+        assert not any(result.counts[name] for name in ("dvl inflations", "dvl restarts"))
         back = int(np.searchsorted(m.stamps_ns, round((31.0 + outage) * 1e9)))
         error = body_velocity_error(result, m)
         s = result.states[back - 1]

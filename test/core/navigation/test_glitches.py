@@ -119,7 +119,7 @@ def test_it_does_no_harm(mission: Mission, count: int, values: dict[int, float])
     assert np.abs(error(result, mission) / sigmas(result))[during].max() < 5.0
     name = "no_data" if values in (ZEROS, FORCE_ZERO) else "glitches"
     assert result.counts[name] == count
-    assert not result.counts["inflations"]
+    assert not result.counts["dvl inflations"]
 
 
 @pytest.mark.parametrize(("count", "values"), [(5, {1: 3.0}), (2, {5: 10.0}), (4, {3: 2.0})])
@@ -132,7 +132,7 @@ def test_wrong_samples_that_agree_are_blamed_by_the_next_measurement(
     assert result.states["channels"]["step_ns"][-1].max() >= mission.stamps_ns[first + 1]
     refused = [sum(not u.report.accepted for u in each.updates) for each in (clean, result)]
     assert refused[1] <= refused[0]
-    assert result.counts["inflations"] == 1
+    assert result.counts["dvl inflations"] == 1
     assert np.abs(error(result, mission)[first + 300 :]).max() < 0.15
 
 

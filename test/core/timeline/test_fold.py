@@ -146,7 +146,7 @@ def test_the_mission_has_what_can_go_wrong(expected: FoldResult) -> None:
     """Otherwise the tests below would show little."""
     reasons = {u.report.reason for u in expected.updates}
     assert reasons == {"", "gate", "restarted", "repeated", "no_lock", "too_fast"}
-    assert expected.counts["inflations"] >= 1
+    assert expected.counts["dvl inflations"] >= 1
     assert expected.counts["gaps"] == 1
     assert expected.counts["frozen"] == 31
     assert expected.counts["saturated"] >= 5

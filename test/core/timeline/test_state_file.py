@@ -24,7 +24,7 @@ from insdvl.navigation.events import NS, Imu, Initial, Origin, ProcessNoise
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.odometry import Odometry, odometry
 from insdvl.navigation.parameters import FilterParameters, OriginParameters
-from insdvl.navigation.state import NEVER
+from insdvl.navigation.state import GATE_COUNTERS, NEVER
 from insdvl.parameters.declaration import build
 from insdvl.simulation.initial_errors import drawn_initial
 from insdvl.simulation.mission import Mission, simulate
@@ -100,7 +100,7 @@ def test_between_two_samples_a_restart_changes_no_bit(source: str) -> None:
     a, b = whole.latest, second.latest
     assert a is not None and b is not None
     for (name, of_a), (_, of_b) in zip(fields(a), fields(b), strict=True):
-        if not name.startswith("counters."):
+        if not name.startswith("counters.") and name.rpartition(".")[2] not in GATE_COUNTERS:
             assert of_a.tobytes() == of_b.tobytes(), name
 
 
@@ -366,8 +366,8 @@ def test_a_file_of_other_states_or_another_version_is_refused(content: bytes) ->
     with pytest.raises(StateFileError, match=r"error states: .* were .*, now .*dvl_error"):
         resumed(content, other)
     for older in (b"insdvl state 3", b"insdvl state 2"):  # 2: positions were sums of metres
-        with pytest.raises(StateFileError, match=f"another version.*'{older.decode()}'.*state 4"):
-            resumed(content.replace(b"insdvl state 4", older))
+        with pytest.raises(StateFileError, match=f"another version.*'{older.decode()}'.*state 5"):
+            resumed(content.replace(b"insdvl state 5", older))
 
 
 def test_parameters_that_decide_nothing_may_change(content: bytes) -> None:

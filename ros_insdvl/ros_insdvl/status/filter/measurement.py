@@ -7,6 +7,7 @@ import numpy as np
 
 from insdvl.messages.topics import IMU
 from insdvl.navigation.events import NS
+from insdvl.navigation.state import gate_counter
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.output import AppliedUpdate
 from insdvl.watch.consistency import nis_median, scaled_nis
@@ -78,9 +79,8 @@ class MeasurementCause(Cause):
         topics = (topic for topic in self._topics if topic in view.silence and topic != IMU)
         view.report_refused(status, topics)  # on the topic of the IMU it is the samples
         self._report_outage(status, view)
-        recoveries = _RECOVERIES if self._tells_velocity else {}
-        for name, what in recoveries.items():
-            if count := view.events.recent[name]:
+        for name, what in _RECOVERIES.items():
+            if count := view.events.recent[gate_counter(self._name, name)]:
                 status.complain(
                     WARN,
                     name,
@@ -96,7 +96,7 @@ class MeasurementCause(Cause):
             if refused.topic == self._name:
                 status.values[f"rejected {refused}"] = count
         self._report_nis(status)
-        view.show_events(status, *recoveries)
+        view.show_events(status, *(gate_counter(self._name, name) for name in _RECOVERIES))
         return status
 
     def _report_outage(self, status: Status, view: View) -> None:

@@ -36,7 +36,7 @@ def _stop_clock(flight: LiveFlight) -> None:
 
     def look(data: bytes) -> None:
         status = deserialize_message(data, DiagnosticArray).status[0]
-        if status.name.startswith(f"{FILTER_NODE}:"):
+        if status.name.startswith(f"{FILTER_NODE.lstrip('/')}:"):
             flight.notes["filter_ns"] = stamp_of(data)
 
     flight.witness.node.create_subscription(Clock, "sent/clock", pass_on, 10)

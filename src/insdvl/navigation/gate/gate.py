@@ -170,7 +170,7 @@ class Gate:
         accepted_ns = int(self._memory(s)["accepted_ns"])
         if not imu_step.explains(s, self._vehicle, accepted_ns, stamp_ns, fair, limit):
             return False
-        s["counters"]["inflations"] += 1
+        self._memory(s)["inflations"] += 1
         return True
 
     def _with_drift(
@@ -187,7 +187,7 @@ class Gate:
             return self._again(s, now, now.R + (fair.nis / limit - 1.0) * now.S)
         seconds = (stamp_ns - int(g["accepted_ns"])) / NS
         self._model.inflate(s, now.innovation, seconds)
-        s["counters"]["inflations"] += 1
+        g["inflations"] += 1
         return self._again(s, now, now.R)
 
     # ---------------------------------------------------------------- the sensor
@@ -260,7 +260,7 @@ class Gate:
             # An IMU that is in doubt has no patience to ask for, and its own explanation.
             self._model.inflate(s, now.innovation, None)
             g["trusted_for"] = 0
-            s["counters"]["inflations"] += 1
+            g["inflations"] += 1
         elif since_ns >= g["patient_for"]:
             if g["gave_in_ns"] < g["rejected_from_ns"]:
                 self._give_in(s, stamp_ns, now)
@@ -268,7 +268,7 @@ class Gate:
                 self._model.restart(s, now.innovation, now.R)
                 g["left"] = 0.0
                 self._bear_out(s, stamp_ns)
-                s["counters"]["restarts"] += 1
+                g["restarts"] += 1
                 return True, "restarted"
         return False, "gate"
 
@@ -297,7 +297,7 @@ class Gate:
             _doubt(g, error, stamp_ns, self._patience_ns)
         claim[:] = 0.0 if back or again else now.innovation
         g["trusted_for"], g["gave_in_ns"] = 0, stamp_ns
-        s["counters"]["inflations"] += 1
+        g["inflations"] += 1
 
     # ---------------------------------------------------------------- what a sensor claims
 

@@ -26,7 +26,7 @@ from insdvl.watch.alignment.causes import Miswired, miswired
 from insdvl.watch.alignment.gravity import GravityCheck
 from insdvl.watch.alignment.search import Explanation, Motion, Samples, Search
 from insdvl.watch.alignment.sentences import Alignment, Terms
-from insdvl.watch.alignment.windows import SLOW
+from insdvl.watch.alignment.windows import SLOW, integrated
 
 WINDOW_NS = 20 * NS  # long enough for a turn, short enough for a noisy gyroscope
 WINDOWS = 30  # number of windows that are kept: 10 minutes
@@ -212,3 +212,16 @@ class AlignmentCheck:
         if len(self._motions) < FEWEST_WINDOWS or (best and isinstance(best.cause, Miswired)):
             return None
         return self._terms.alignment(self._search.free(list(self._motions), best))
+
+
+def compile_check(parameters: FilterParameters) -> None:
+    """Run a check for a moment, so that no message ever waits for a compilation."""
+    check = AlignmentCheck(parameters)
+    step_ns = round(NS / parameters.imu.rate)
+    for k in range(1, 5):
+        check.add(Imu(k * step_ns, np.array([0.0, 0.0, -9.8]), np.zeros(3)))
+    for k in range(2, 4):
+        check.add(Dvl(k * step_ns + step_ns // 2, np.full(3, 0.01 * k)))
+    check.add(Dvl(4 * step_ns, np.full(3, 0.01)))
+    stamps, zeros = step_ns * np.arange(1, 4), np.zeros((3, 3))
+    integrated(stamps, zeros, zeros, stamps, zeros, 0.0)  # as after a window

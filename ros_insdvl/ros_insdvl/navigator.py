@@ -1,0 +1,81 @@
+"""The nodes `insdvl_filter` and `insdvl_tuner` in one process, which decodes the IMU once.
+
+Each is the node that it is in a process of its own, with its name, parameters, topics, services and
+statuses. The filter's subscription of the IMU serves both. What the tuner learns is published as
+always; the filter has it without the wire.
+"""
+
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+from insdvl.messages.topics import IMU, PROCESS_NOISE
+from insdvl.parameters.declaration import ParameterError
+from insdvl.tuner.models import ModelError
+from ros_insdvl.execution import run_nodes
+from ros_insdvl.filter import FilterNode
+from ros_insdvl.node import InsdvlNode
+from ros_insdvl.tuner import TunerNode
+
+
+def navigator_nodes(**options: Any) -> Iterator[InsdvlNode[Any]]:
+    """The two nodes, which hand on to each other what both of them use.
+
+    Args:
+        options: Of both nodes, see `InsdvlNode`.
+
+    Raises:
+        ModelError: The tuner's model cannot be used.
+        ParameterError: A parameter is wrong, or both nodes have one name.
+    """
+    filter_node = FilterNode(**options)
+    yield filter_node
+    tuner = TunerNode(**options)
+    yield tuner
+    name = filter_node.get_fully_qualified_name()
+    if name == tuner.get_fully_qualified_name():
+        raise ParameterError(
+            f"both nodes are named {name}: rename one at a time, with "
+            "-r insdvl_filter:__node:=NAME or -r insdvl_tuner:__node:=NAME"
+        )
+    _share(filter_node, IMU, tuner)
+    if PROCESS_NOISE in filter_node.inputs:
+        _share(tuner, PROCESS_NOISE, filter_node)
+    else:
+        source = filter_node.parameters.process_noise.source
+        filter_node.get_logger().info(
+            f"the tuner's process noise is published and not used: process_noise.source is "
+            f"'{source}', not 'external'"
+        )
+
+
+def _share(giver: InsdvlNode[Any], topic: str, taker: InsdvlNode[Any]) -> None:
+    """Let a node hand on a topic to the other, unless a remap gives each a topic of its own."""
+    theirs = taker.resolve_topic_name(topic)
+    if giver.resolve_topic_name(topic) != theirs:
+        return
+    ignored = _subscription_qos(taker, theirs)
+    if topic in giver.inputs and ignored != _subscription_qos(giver, theirs):
+        taker.get_logger().warning(
+            f"qos_overrides.{theirs}.subscription.* of this node are not used: the subscription is "
+            f"that of {giver.get_name()}"
+        )
+    giver.hand_on(topic, taker)
+
+
+def _subscription_qos(node: InsdvlNode[Any], topic: str) -> dict[str, Any]:
+    """The quality of service that a node's parameters ask for."""
+    found = node.get_parameters_by_prefix(f"qos_overrides.{topic}.subscription")
+    return {name: parameter.value for name, parameter in found.items()}
+
+
+def main() -> int:
+    """Run both nodes until they are interrupted."""
+    try:
+        return run_nodes(navigator_nodes)
+    except ModelError:  # the tuner has logged it
+        return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

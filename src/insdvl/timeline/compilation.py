@@ -1,0 +1,48 @@
+"""The functions of the filter, compiled before the first message comes."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from insdvl.navigation.events import NS, Event, Imu, ProcessNoise
+from insdvl.navigation.measurements.dvl import Dvl
+from insdvl.navigation.parameters import FilterParameters
+from insdvl.navigation.start import gyrocompass
+from insdvl.timeline.fold import Fold
+
+
+def compile_fold(parameters: FilterParameters) -> None:
+    """Run a filter for a moment, so that no message ever waits for a compilation.
+
+    Its measurements come between two samples, as those of a sensor do, and its channels freeze. The
+    first one corrects so much that it is of second order, the next one is ordinary.
+    """
+    fold = Fold(
+        replace(
+            parameters,
+            initial=replace(
+                parameters.initial,
+                mode="parameters",
+                heading="auto",
+                velocity_std=100.0,
+                tilt_std=0.1,
+            ),
+            origin=replace(parameters.origin, source="parameters"),
+            imu=replace(parameters.imu, frozen_samples=2),
+            gate=replace(parameters.gate, enabled=False),
+            output_delay=0.0,
+        )
+    )
+    step = round(NS / parameters.imu.rate)
+    events: list[Event] = [
+        Imu(k * step, np.array([0.0, 0.0, -9.8]), np.zeros(3)) for k in range(1, 5)
+    ]
+    events += [
+        ProcessNoise(2 * step - step // 2, np.eye(3), np.eye(3)),
+        Dvl(3 * step - step // 2, np.full(3, 0.01)),
+        Dvl(4 * step - step // 2, np.full(3, 0.02)),
+    ]
+    for event in events:
+        fold.add(event)
+    fold.take()
+    gyrocompass.jacobian(np.eye(3), 0.0, 0.0)  # calls the Earth's rate and gravity, as a start does
