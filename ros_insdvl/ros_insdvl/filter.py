@@ -28,6 +28,7 @@ from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.odometry import Odometry as FilterOdometry
 from insdvl.navigation.odometry import biases
 from insdvl.navigation.parameters import FilterParameters
+from insdvl.navigation.settings import differences
 from insdvl.navigation.start import gyrocompass
 from insdvl.parameters.declaration import ParameterError
 from insdvl.timeline.fold import Fold
@@ -37,12 +38,32 @@ from insdvl.timeline.state_file import StateFile
 from insdvl.watch.alignment.check import AlignmentCheck
 from insdvl.watch.alignment.windows import integrated
 from insdvl.watch.start import report_of_start
+from ros_insdvl.arguments import Help
 from ros_insdvl.conversions import message_class
 from ros_insdvl.execution import run_node
 from ros_insdvl.node import InsdvlNode
 from ros_insdvl.qos import command_qos, sensor_qos
 from ros_insdvl.status.diagnostics import Status, View
 from ros_insdvl.status.filter.watch import FilterWatch
+
+HELP = Help(
+    package="ros_insdvl",
+    executable="filter",
+    node="/insdvl_filter",
+    about="""
+The filter of the INS/DVL navigation: IMU and DVL in, odometry out.
+
+subscribes  imu/data_raw, dvl/velocity or dvl/velocity_cov, process_noise, set_odometry, gps/fix,
+            and the topics that parameters name, such as depth.topic
+publishes   odometry/filtered, imu/bias, gps/filtered, dvl/innovation, /diagnostics
+services    ~/reset (std_srvs/Trigger): start again as initial.mode says
+""",
+    examples=(
+        "--params-file vehicle.yaml",
+        "-p frame_convention:=ned -p imu.rate:=200.0",
+        "-r imu/data_raw:=/xsens/imu -r dvl/velocity:=/dvl/twist",
+    ),
+)
 
 DISCOVERY_PERIOD = 0.1  # s of the steady clock between two looks for the type of a topic
 
@@ -298,6 +319,13 @@ class FilterNode(InsdvlNode[FilterParameters]):
         fill_twist(message, update.stamp_ns, innovation, covariance)
         self._innovations[name].send(message)
 
+    def settings_changed(self, before: FilterParameters) -> None:
+        """The fold takes them from its newest stamp on."""
+        stamp_ns = self._fold.change(self.parameters)
+        since = "the first stamp" if stamp_ns is None else f"stamp {stamp_ns / NS:.3f} s"
+        for name, (old, new) in differences(before, self.parameters).items():
+            self.get_logger().info(f"{name} changed from {old} to {new}, in force from {since} on")
+
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         is_kept = self._feed.reset()
         self._begin_time()
@@ -325,7 +353,7 @@ class FilterNode(InsdvlNode[FilterParameters]):
 
 def main() -> int:
     """Run the node until it is interrupted."""
-    return run_node(FilterNode)
+    return run_node(FilterNode, HELP)
 
 
 if __name__ == "__main__":
