@@ -15,6 +15,7 @@ import numpy as np
 from geometry_msgs.msg import TwistWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import Imu, NavSatFix
 from std_srvs.srv import Trigger
 
@@ -42,6 +43,7 @@ from ros_insdvl.arguments import Help
 from ros_insdvl.conversions import message_class
 from ros_insdvl.execution import run_node
 from ros_insdvl.node import InsdvlNode
+from ros_insdvl.parameters import plain
 from ros_insdvl.qos import command_qos, sensor_qos
 from ros_insdvl.status.diagnostics import Status, View
 from ros_insdvl.status.filter.watch import FilterWatch
@@ -182,9 +184,10 @@ class FilterNode(InsdvlNode[FilterParameters]):
         elif record is None:
             log.info(f"{state_file.path} does not exist yet; {self._starts_anew}")
         else:
-            self._fold.resume(record)
+            self._fold.resume(record, state_file.settings)
             stamp = record[0]["channels"]["imu_ns"] / NS
             log.info(f"goes on from the state at stamp {stamp:.3f} s in {state_file.path}")
+            self._take_over(state_file.settings)
         return state_file
 
     @property
@@ -292,6 +295,7 @@ class FilterNode(InsdvlNode[FilterParameters]):
         if self._state_file is not None and self._state_file.left_at(jump.from_ns, jump.to_ns):
             line = f"{self._state_file.path} is not used, {self._state_file.unused}"
             self.get_logger().warning(f"{line}; {self._starts_anew}")
+            self._take_over(self._state_file.parameters)
         else:
             self._watch.jumped(jump)
 
@@ -318,6 +322,14 @@ class FilterNode(InsdvlNode[FilterParameters]):
         innovation[rows], covariance[rows, rows] = nu, S
         fill_twist(message, update.stamp_ns, innovation, covariance)
         self._innovations[name].send(message)
+
+    def _take_over(self, settings: FilterParameters) -> None:
+        """Give the node's parameters the settings of a state that was, or was not, used."""
+        values = differences(self.parameters, settings)
+        if values:
+            self.set_parameters_atomically(
+                [Parameter(name, value=plain(value)) for name, (_, value) in values.items()]
+            )
 
     def settings_changed(self, before: FilterParameters) -> None:
         """The fold takes them from its newest stamp on."""

@@ -74,15 +74,15 @@ def declare(node: Node, group: type[_Group], files: Sequence[ParameterFile]) -> 
         # Converted already: an integer for a float is an override of the wrong type to rclpy.
         node.declare_parameter(
             declaration.name,
-            _plain(values[declaration.name]),
+            plain(values[declaration.name]),
             descriptor(declaration),
             ignore_override=True,
         )
     return loaded.parameters
 
 
-def _plain(value: Any) -> Any:
-    """A value as rclpy takes it."""
+def plain(value: Any) -> Any:
+    """A value as rclpy takes it: tuples as lists."""
     return list(value) if isinstance(value, tuple) else value
 
 
@@ -112,7 +112,7 @@ def changes(group: _Group, parameters: Sequence[Parameter]) -> tuple[_Group, lis
     """
     after = changed(group, {parameter.name: parameter.value for parameter in parameters})
     values = flatten(after)
-    return after, [Parameter(p.name, value=_plain(values[p.name])) for p in parameters]
+    return after, [Parameter(p.name, value=plain(values[p.name])) for p in parameters]
 
 
 def _fault_of_qos(name: str, value: Any) -> list[str]:

@@ -283,11 +283,10 @@ def changed(group: _Group, values: Mapping[str, Any]) -> _Group:
     Raises:
         ParameterError: `build` refuses the values, or a parameter may not change.
     """
-    fixed = {d.name for d in declarations(type(group)) if not d.changeable} & values.keys()
-    if fixed:
-        raise ParameterError(
-            "\n".join(f"parameter '{name}' is read-only" for name in sorted(fixed))
-        )
+    fixed = {d.name for d in declarations(type(group)) if not d.changeable}
+    found = [f"parameter '{name}' is read-only" for name in values if name in fixed]
+    if found:
+        raise ParameterError("\n".join(found))
     return build(type(group), flatten(group) | values)
 
 

@@ -95,21 +95,21 @@ class Fold:
         #: The time jump that ``jump_action: hold`` does not follow; None when there is none.
         self.held: TimeJump | None = None
         self._suspects = Suspects(self._near_ns, self._max_gap_ns, self._jump_limit_ns)
-        self._begin()
+        self._begin(self.settings)
 
-    def _begin(self) -> None:
+    def _begin(self, settings: FilterParameters) -> None:
         """An empty time."""
         self._suspects.end_run()
         self._start = self.filter.empty()
         self._samples = Samples(self.filter.C_b_i, self._capacity, self._start.dtype)
-        self._entries = Entries(self.settings)
+        self._entries = Entries(settings)
         self._steps = Steps(
             self.filter, self._samples, self._entries, self._jump_limit_ns, self._rest_ns
         )
         self._published_ns = NEVER
         self._resumed_ns = NEVER  # stamp of the state of another run, where this one went on
 
-    def resume(self, record: Records) -> None:
+    def resume(self, record: Records, settings: FilterParameters | None = None) -> None:
         """Go on from a state of another run: it becomes that of the newest sample.
 
         The time up to the first sample is a gap. What is not later than the record is too late.
@@ -118,8 +118,11 @@ class Fold:
 
         Args:
             record: (1,) an initialised state of a filter of the same parameters.
+            settings: The parameters with the settings that were in force there; those now if None.
         """
         self._clear()
+        if settings is not None:
+            self._entries.begin_with(settings)
         self._start[0] = record[0]
         for name in COUNTERS:
             self._start[0]["counters"][name] = 0
@@ -281,7 +284,7 @@ class Fold:
         self._counts.update(result.counts)
         self._counts["time_jumps"] += 1
         origin = self._origin()
-        self._begin()
+        self._begin(self.parameters if self._only_resumed else self.settings)
         if origin is not None:
             self.filter.locate(self._start, origin)
 

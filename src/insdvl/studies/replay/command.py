@@ -36,8 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         required=True,
         action="append",
         metavar="FILE",
-        help="YAML parameter file of the nodes, read as ROS reads it; the sections of filter, tuner "
-        "and replay are used. Give several as with --params-file, in their order",
+        help="YAML parameter file of the nodes, read as ROS reads it; the sections of filter, "
+        "tuner and replay are used. Several files are given as with --params-file, in their order",
     )
     parser.add_argument(
         "--namespace",
