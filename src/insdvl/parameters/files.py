@@ -224,11 +224,12 @@ class _Reader:
         if not isinstance(node, Mapping):
             self._no_value(node)
             return
-        keys = [key.text for key, _ in node.items]
+        is_first = True
         for key, value in node.items:
-            if key.text == _PARAMETERS and keys.count(_PARAMETERS) > 1:
+            if key.text == _PARAMETERS and not is_first:
                 self.fault(f"{_PARAMETERS} in line {key.line} is not the only one of its section")
             elif key.text == _PARAMETERS:
+                is_first = False
                 self._section(name, key.line, value)
             else:
                 self.level(value, f"{name.removesuffix('/')}/{key.text}" if name else key.text)

@@ -112,7 +112,7 @@ def load(
     ignored = [n for n in values if n not in known and n in places and n not in own]
     values = {name: value for name, value in values.items() if name not in ignored}
     found = [
-        f"{first.place}: '{first.name}' is given twice, in lines {first.line} and {second.line}"
+        f"{second.place}: parameter '{first.name}' is given again, first in line {first.line}"
         for first, second in repeated(files, node)
         if first.name in known
     ]
