@@ -26,7 +26,8 @@ usage: ros2 run {package} {executable} [--ros-args -p NAME:=VALUE ... --params-f
 parameters
   ros2 param list {node}
   ros2 param describe {node} NAME
-  docs/reference/parameters.md has all of them, share/{package}/config an example with the defaults.
+  docs/reference/parameters.md describes all of them; share/{package}/config has files of
+  the defaults
 
 examples
 {examples}

@@ -1,5 +1,6 @@
 """A parameter group of the core as the declared parameters of a ROS 2 node."""
 
+from array import array
 from collections.abc import Sequence
 from typing import Any, TypeVar
 
@@ -61,7 +62,7 @@ def declare(node: Node, group: type[_Group], files: Sequence[ParameterFile]) -> 
         elif not is_ros_name(override.name):
             # An empty list has no type in ROS.
             is_set = override.type_ != Parameter.Type.NOT_SET
-            overrides[override.name] = override.value if is_set else []
+            overrides[override.name] = plain(override.value) if is_set else []
     try:
         loaded = load(files, name, group, overrides)
     except ParameterError as error:
@@ -82,8 +83,8 @@ def declare(node: Node, group: type[_Group], files: Sequence[ParameterFile]) -> 
 
 
 def plain(value: Any) -> Any:
-    """A value as rclpy takes it: tuples as lists."""
-    return list(value) if isinstance(value, tuple) else value
+    """A value as rclpy takes it and as a message shows it: tuples and arrays as lists."""
+    return list(value) if isinstance(value, tuple | array) else value
 
 
 def _tell(node: Node, files: Sequence[ParameterFile], loaded: Loaded[Any]) -> None:
@@ -110,7 +111,7 @@ def changes(group: _Group, parameters: Sequence[Parameter]) -> tuple[_Group, lis
     Raises:
         ParameterError: Values are refused.
     """
-    after = changed(group, {parameter.name: parameter.value for parameter in parameters})
+    after = changed(group, {p.name: plain(p.value) for p in parameters})
     values = flatten(after)
     return after, [Parameter(p.name, value=plain(values[p.name])) for p in parameters]
 
