@@ -32,7 +32,7 @@ publishes   imu/data_raw, dvl/velocity, dvl/velocity_cov, process_noise, gps/fix
 It starts when imu/data_raw has min_subscribers subscribers, and ends with the recording.
 `insdvl replay` runs the filter over a recording without ROS.
 """,
-    examples=("-p bag:=FOLDER", "-p bag:=FOLDER -p imu_topic:=/xsens/imu -p rate_factor:=10.0"),
+    examples=("-p bag:=FOLDER", "-p bag:=FOLDER -p imu_topic:=/xsens/imu"),
 )
 
 

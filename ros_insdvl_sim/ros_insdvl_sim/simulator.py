@@ -30,7 +30,7 @@ publishes   imu/data_raw, dvl/velocity, depth/pressure where it is on, ground_tr
 
 It starts when imu/data_raw has min_subscribers subscribers, and ends with the mission.
 """,
-    examples=("-p noise.scenario:=wide -p seed:=3", "-p rate_factor:=5.0"),
+    examples=("-p seed:=3 -p duration:=60.0", "-p rate_factor:=5.0"),
 )
 
 

@@ -66,8 +66,10 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"insdvl replay: not enough memory for {arguments.bag}: {error}", file=sys.stderr)
         return 2
     except (ValueError, OSError) as error:
-        for line in str(error).splitlines():
-            print(f"insdvl replay: {line}", file=sys.stderr)
+        text = str(error)
+        faults = text.splitlines() if isinstance(error, ParameterError) else [text]
+        for fault in faults:
+            print(f"insdvl replay: {' '.join(fault.split())}", file=sys.stderr)
         return 2
     return 0
 
