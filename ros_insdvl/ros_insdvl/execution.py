@@ -10,25 +10,39 @@ from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
 from insdvl.parameters.declaration import ParameterError
+from ros_insdvl.arguments import Help, answered, parameter_files
 from ros_insdvl.node import InsdvlNode
 
 
-def run_node(factory: Callable[[], InsdvlNode[Any]]) -> int:
+def run_node(factory: Callable[[], InsdvlNode[Any]], help_: Help) -> int:
     """Make a node and spin it until it finishes, see `run_nodes`."""
-    return run_nodes(lambda: [factory()])
+    return run_nodes(lambda: [factory()], help_)
 
 
-def run_nodes(factory: Callable[[], Iterable[InsdvlNode[Any]]]) -> int:
+def run_nodes(factory: Callable[[], Iterable[InsdvlNode[Any]]], help_: Help) -> int:
     """Make nodes and spin them until one finishes, is interrupted or is terminated.
+
+    With ``--help`` nothing is started. Faults of parameter files are told before ROS starts, which
+    would end with the first.
 
     Args:
         factory: Makes them, one after the other.
+        help_: Of the executable.
 
     Returns:
-        The exit code: 0 after SIGINT or SIGTERM, 2 for a wrong parameter (one line on stderr names
-        it), else what the node finished with. Any other exception passes, which ends a program
-        with 1.
+        The exit code: 0 after SIGINT or SIGTERM, 2 for wrong arguments or parameters (a line on
+        stderr names each), else what the node finished with. Any other exception passes, which ends
+        a program with 1.
     """
+    arguments = sys.argv[1:]
+    code = answered(help_, arguments)
+    if code is not None:
+        return code
+    try:
+        parameter_files(arguments)
+    except ParameterError as error:
+        print(error, file=sys.stderr)
+        return 2
     nodes: list[InsdvlNode[Any]] = []
     try:
         return _spin(factory, nodes)

@@ -14,6 +14,7 @@ import numpy as np
 from geometry_msgs.msg import TwistWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import Imu, NavSatFix
 from std_srvs.srv import Trigger
 
@@ -28,6 +29,7 @@ from insdvl.navigation.events import Imu as ImuSample
 from insdvl.navigation.odometry import Odometry as FilterOdometry
 from insdvl.navigation.odometry import Pose, biases
 from insdvl.navigation.parameters import FilterParameters
+from insdvl.navigation.settings import differences
 from insdvl.navigation.state import State
 from insdvl.parameters.declaration import ParameterError
 from insdvl.timeline.compilation import compile_fold
@@ -36,14 +38,36 @@ from insdvl.timeline.output import AppliedUpdate
 from insdvl.timeline.state_file import StateFile
 from insdvl.watch.alignment.check import compile_check
 from insdvl.watch.start import heading_news, is_heading_known, report_of_start
+from ros_insdvl.arguments import Help
 from ros_insdvl.conversions import message_class, new_message
 from ros_insdvl.endpoints import Output
 from ros_insdvl.execution import run_node
 from ros_insdvl.node import InsdvlNode
+from ros_insdvl.parameters import plain
 from ros_insdvl.qos import command_qos, latched_command_qos, sensor_qos
 from ros_insdvl.status.diagnostics import Status, View
 from ros_insdvl.status.filter.watch import FilterWatch
 from ros_insdvl.waiting import Waiting
+
+HELP = Help(
+    package="ros_insdvl",
+    executable="filter",
+    node="/insdvl_filter",
+    about="""
+The filter of the INS/DVL navigation: IMU and DVL in, odometry out.
+
+subscribes  imu/data_raw, dvl/velocity or dvl/velocity_cov, process_noise, set_odometry, gps/fix,
+            and the topics that parameters name, such as depth.topic and heading.topic
+publishes   odometry/filtered, imu/bias, gps/filtered, dvl/innovation, /diagnostics; with a
+            heading sensor odometry/global; with publish_tf /tf
+services    ~/reset (std_srvs/Trigger): start again as initial.mode says
+""",
+    examples=(
+        "--params-file vehicle.yaml",
+        "-p frame_convention:=ned -p imu.rate:=200.0",
+        "-r imu/data_raw:=/xsens/imu -r dvl/velocity:=/dvl/twist",
+    ),
+)
 
 DISCOVERY_PERIOD = 0.1  # s of the steady clock between two looks for the type of a topic
 
@@ -170,9 +194,10 @@ class FilterNode(InsdvlNode[FilterParameters]):
         elif record is None:
             log.info(f"{state_file.path} does not exist yet; {self._starts_anew}")
         else:
-            self._fold.resume(record)
+            self._fold.resume(record, state_file.settings)
             stamp = record[0]["channels"]["imu_ns"] / NS
             log.info(f"goes on from the state at stamp {stamp:.3f} s in {state_file.path}")
+            self._take_over(state_file.settings)
         return state_file
 
     @property
@@ -300,6 +325,7 @@ class FilterNode(InsdvlNode[FilterParameters]):
         if self._state_file is not None and self._state_file.left_at(jump.from_ns, jump.to_ns):
             line = f"{self._state_file.path} is not used, {self._state_file.unused}"
             self.get_logger().warning(f"{line}; {self._starts_anew}")
+            self._take_over(self._state_file.parameters)
         else:
             self._watch.jumped(jump)
 
@@ -322,6 +348,21 @@ class FilterNode(InsdvlNode[FilterParameters]):
         nu, S = model.in_stream(report.innovation, report.S)
         fill_innovation(message, update.stamp_ns, nu, S, angles=model.angles)
         self._innovations[name].send(message)
+
+    def _take_over(self, settings: FilterParameters) -> None:
+        """Give the node's parameters the settings of a state that was, or was not, used."""
+        values = differences(self.parameters, settings)
+        if values:
+            self.set_parameters_atomically(
+                [Parameter(name, value=plain(value)) for name, (_, value) in values.items()]
+            )
+
+    def settings_changed(self, before: FilterParameters) -> None:
+        """The fold takes them from its newest stamp on."""
+        stamp_ns = self._fold.change(self.parameters)
+        since = "the first stamp" if stamp_ns is None else f"stamp {stamp_ns / NS:.3f} s"
+        for name, (old, new) in differences(before, self.parameters).items():
+            self.get_logger().info(f"{name} changed from {old} to {new}, in force from {since} on")
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         is_kept = self._feed.reset()
@@ -350,7 +391,7 @@ class FilterNode(InsdvlNode[FilterParameters]):
 
 def main() -> int:
     """Run the node until it is interrupted."""
-    return run_node(FilterNode)
+    return run_node(FilterNode, HELP)
 
 
 if __name__ == "__main__":

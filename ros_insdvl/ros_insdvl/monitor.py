@@ -18,12 +18,26 @@ from insdvl.messages.convert import stamp_ns
 from insdvl.messages.topics import PROCESS_NOISE, TRUE_PROCESS_NOISE, TRUTH
 from insdvl.navigation.events import NS
 from insdvl.watch.monitor_parameters import MonitorParameters
+from ros_insdvl.arguments import Help
 from ros_insdvl.execution import run_node
 from ros_insdvl.node import InsdvlNode
 from ros_insdvl.odometry_series import OdometrySeries
 from ros_insdvl.qos import command_qos, publisher_qos
 from ros_insdvl.status.diagnostics import nis_key
 from ros_insdvl.status.heard import ERROR, OK, STALE, WARN, HeardDiagnostics, Report
+
+HELP = Help(
+    package="ros_insdvl",
+    executable="monitor",
+    node="/insdvl_monitor",
+    about="""
+The monitor prints how well filters do: a live table in a terminal, else a line a second.
+
+subscribes  odometry/filtered of each filter, process_noise, /diagnostics, and the truth where
+            there is one: ground_truth/odometry, ground_truth/process_noise
+""",
+    examples=("-p window:=20.0", "-p 'filters:=[/port, /starboard]'"),
+)
 
 STALE_TIME = 5.0  # s of the wall; every node reports once a second
 _LEVELS = {OK: "ok", WARN: "warn", ERROR: "ERROR", STALE: "stale"}
@@ -240,7 +254,7 @@ def _sigmas(kept: Sequence[Noise]) -> list[str]:
 
 def main() -> int:
     """Run the node until it is interrupted."""
-    return run_node(Monitor)
+    return run_node(Monitor, HELP)
 
 
 if __name__ == "__main__":

@@ -12,10 +12,28 @@ from typing import Any
 from insdvl.messages.topics import IMU, PROCESS_NOISE
 from insdvl.parameters.declaration import ParameterError
 from insdvl.tuner.models import ModelError
+from ros_insdvl.arguments import Help
 from ros_insdvl.execution import run_nodes
 from ros_insdvl.filter import FilterNode
 from ros_insdvl.node import InsdvlNode
 from ros_insdvl.tuner import TunerNode
+
+HELP = Help(
+    package="ros_insdvl",
+    executable="navigator",
+    node="/insdvl_filter",
+    about="""
+The filter and the tuner in one process, which receives and decodes the IMU once. Both nodes,
+/insdvl_filter and /insdvl_tuner, are as those of the executables filter and tuner, with their
+names, parameters, topics and services.
+
+The filter uses what the tuner learns with process_noise.source 'external'.
+""",
+    examples=(
+        "--params-file vehicle.yaml",
+        "-p insdvl_filter:process_noise.source:=external -p insdvl_tuner:rate:=2.0",
+    ),
+)
 
 
 def navigator_nodes(**options: Any) -> Iterator[InsdvlNode[Any]]:
@@ -72,7 +90,7 @@ def _subscription_qos(node: InsdvlNode[Any], topic: str) -> dict[str, Any]:
 def main() -> int:
     """Run both nodes until they are interrupted."""
     try:
-        return run_nodes(navigator_nodes)
+        return run_nodes(navigator_nodes, HELP)
     except ModelError:  # the tuner has logged it
         return 1
 

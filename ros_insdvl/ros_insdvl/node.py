@@ -1,5 +1,6 @@
 """What all nodes share: parameters of a group, counted topics, and statuses."""
 
+import sys
 import time
 import traceback
 from collections import Counter
@@ -18,9 +19,10 @@ from rclpy.task import Future
 from insdvl import kernels
 from insdvl.messages.convert import RejectedMessage
 from insdvl.messages.refusals import Refused
-from insdvl.parameters.declaration import ParameterError
+from insdvl.parameters.declaration import ParameterError, declarations
+from ros_insdvl.arguments import parameter_files
 from ros_insdvl.endpoints import Output, subscribe
-from ros_insdvl.parameters import declare
+from ros_insdvl.parameters import changes, declare
 from ros_insdvl.qos import overridable, publisher_qos, sensor_qos
 from ros_insdvl.status.connections import Connections
 from ros_insdvl.status.diagnostics import Status, View
@@ -57,12 +59,15 @@ class InsdvlNode(Node, Generic[_Group]):
         Raises:
             ParameterError: A parameter is wrong.
         """
+        ours = sys.argv[1:] if options.get("use_global_arguments", True) else []
+        files = parameter_files([*ours, *(options.get("cli_args") or [])])
         super().__init__(name, **options)
         try:
-            self.parameters = declare(self, group)
+            self.parameters = declare(self, group, files)
         except ParameterError:
             self.destroy_node()
             raise
+        self._changeable = {d.name for d in declarations(group) if d.changeable}
         self.received: Counter[str] = Counter()
         self.rejected: Counter[Refused] = Counter()
         self.inputs: dict[str, Subscription] = {}
@@ -173,13 +178,31 @@ class InsdvlNode(Node, Generic[_Group]):
         if self.rejected[refused] == 1:
             self.get_logger().warning(f"{topic} rejected, {detail} (further ones: /diagnostics)")
 
+    def set_parameters(self, parameter_list: list[Parameter]) -> list[SetParametersResult]:
+        """Change parameters one by one, see `set_parameters_atomically`."""
+        return [self.set_parameters_atomically([parameter]) for parameter in parameter_list]
+
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
-        """Refuse a change by the parameter's name; rclpy forgets the name of an unknown one."""
-        for parameter in parameter_list:
+        """Change parameters; a refusal names the parameter, its value and what is allowed."""
+        ours = [p for p in parameter_list if p.name in self._changeable]
+        others = [p for p in parameter_list if p.name not in self._changeable]
+        for parameter in others:  # rclpy forgets the name
             if not self.has_parameter(parameter.name):
                 reason = f"unknown parameter '{parameter.name}'"
                 return SetParametersResult(successful=False, reason=reason)
-        return super().set_parameters_atomically(parameter_list)
+        before = self.parameters
+        try:
+            after, checked = changes(before, ours)
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        result = super().set_parameters_atomically([*others, *checked])
+        if result.successful and ours:
+            self.parameters = after
+            self.settings_changed(before)
+        return result
+
+    def settings_changed(self, before: _Group) -> None:
+        """Parameters that may change at run time have changed; nodes that have some extend it."""
 
     def fail(self, error: Exception) -> None:
         """Count what a callback raised and nobody expected; the first of each is logged in full."""

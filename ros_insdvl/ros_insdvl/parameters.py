@@ -1,15 +1,34 @@
 """A parameter group of the core as the declared parameters of a ROS 2 node."""
 
+from array import array
+from collections.abc import Sequence
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
-from insdvl.parameters.declaration import Declaration, ParameterError, build, declarations, flatten
-from insdvl.parameters.sections import is_ros_name
+from insdvl.parameters.declaration import (
+    Declaration,
+    ParameterError,
+    changed,
+    declarations,
+    flatten,
+)
+from insdvl.parameters.files import ARGUMENT, ParameterFile, effective
+from insdvl.parameters.sections import Loaded, is_ros_name, load, warnings
 
 _Group = TypeVar("_Group")
 
+
+_TYPES = {
+    "bool": Parameter.Type.BOOL,
+    "int": Parameter.Type.INTEGER,
+    "float": Parameter.Type.DOUBLE,
+    "string": Parameter.Type.STRING,
+    "list of floats": Parameter.Type.DOUBLE_ARRAY,
+    "list of strings": Parameter.Type.STRING_ARRAY,
+}
 
 #: Values of the qos_overrides that `ros_insdvl.qos` offers; rclpy does not name a wrong one.
 _QOS_VALUES = {
@@ -19,39 +38,85 @@ _QOS_VALUES = {
 }
 
 
-def declare(node: Node, group: type[_Group]) -> _Group:
+def declare(node: Node, group: type[_Group], files: Sequence[ParameterFile]) -> _Group:
     """Declare every parameter of a group on a node, and return the group with the node's values.
 
-    The parameters are read-only: a node is built from them once.
+    Unknown parameters in a section for nodes of any name are ignored; the log says so, and of which
+    files and arguments nothing has reached the node.
 
     Args:
         node: The node, before it has publishers.
         group: A dataclass of parameters (see `insdvl.parameters`).
+        files: The parameter files and arguments that the node was given.
 
     Raises:
-        ParameterError: An override has an unknown name, a wrong type or is out of range, or the
-            values contradict each other.
+        ParameterError: Overrides have unknown names, wrong types or are out of range, or the values
+            contradict each other; a line for each fault.
     """
-    overrides = {}
+    name = node.get_fully_qualified_name()
+    overrides, faults = {}, []
     # rclpy ignores undeclared overrides, and no public attribute holds them.
-    for name, override in node._parameter_overrides.items():
-        if name.startswith("qos_overrides."):
-            _check_qos(name, override.value)
-        elif not is_ros_name(name):
-            overrides[name] = override.value
-    instance = build(group, overrides)
-    values = flatten(instance)
+    for override in node._parameter_overrides.values():
+        if override.name.startswith("qos_overrides."):
+            faults += _fault_of_qos(override.name, override.value)
+        elif not is_ros_name(override.name):
+            # An empty list has no type in ROS.
+            is_set = override.type_ != Parameter.Type.NOT_SET
+            overrides[override.name] = plain(override.value) if is_set else []
+    try:
+        loaded = load(files, name, group, overrides)
+    except ParameterError as error:
+        faults.append(str(error))
+    if faults:
+        raise ParameterError("\n".join(faults))
+    _tell(node, files, loaded)
+    values = flatten(loaded.parameters)
     for declaration in declarations(group):
-        value = values[declaration.name]
+        # Converted already: an integer for a float is an override of the wrong type to rclpy.
         node.declare_parameter(
             declaration.name,
-            list(value) if isinstance(value, tuple) else value,
+            plain(values[declaration.name]),
             descriptor(declaration),
+            ignore_override=True,
         )
-    return instance
+    return loaded.parameters
 
 
-def _check_qos(name: str, value: Any) -> None:
+def plain(value: Any) -> Any:
+    """A value as rclpy takes it and as a message shows it: tuples and arrays as lists."""
+    return list(value) if isinstance(value, tuple | array) else value
+
+
+def _tell(node: Node, files: Sequence[ParameterFile], loaded: Loaded[Any]) -> None:
+    """Warn of files and arguments that have no effect."""
+    name, log = node.get_fully_qualified_name(), node.get_logger()
+    arguments = [given for file in files for given in file.given if given.is_argument]
+    of_yaml = [file for file in files if file.path != ARGUMENT]
+    for line in warnings(of_yaml, [name], loaded.ignored):
+        log.warning(line)
+    values = effective(files, name)
+    for given in arguments:
+        taken = values.get(given.name, given)
+        if not taken.is_argument and taken.value != given.value:
+            log.warning(
+                f"-p {given.name} has no effect: {taken.place} has {taken.value!r}. To ROS a -p "
+                "belongs to section '/**', and sections count in the order in which they appear "
+                f"first; use -p {node.get_name()}:{given.name}:=VALUE"
+            )
+
+
+def changes(group: _Group, parameters: Sequence[Parameter]) -> tuple[_Group, list[Parameter]]:
+    """What becomes of a group when parameters are set, and the parameters in the declared types.
+
+    Raises:
+        ParameterError: Values are refused.
+    """
+    after = changed(group, {p.name: plain(p.value) for p in parameters})
+    values = flatten(after)
+    return after, [Parameter(p.name, value=plain(values[p.name])) for p in parameters]
+
+
+def _fault_of_qos(name: str, value: Any) -> list[str]:
     policy = name.rsplit(".", 1)[-1]
     if policy == "depth":
         right, allowed = type(value) is int and value > 0, "an int > 0"
@@ -59,8 +124,7 @@ def _check_qos(name: str, value: Any) -> None:
         right, allowed = value in _QOS_VALUES[policy], "one of " + ", ".join(_QOS_VALUES[policy])
     else:
         right, allowed = False, "removed: policies are depth, " + ", ".join(_QOS_VALUES)
-    if not right:
-        raise ParameterError(f"parameter '{name}' must be {allowed}, got {value!r}")
+    return [] if right else [f"parameter '{name}' must be {allowed}, got {value!r}"]
 
 
 def descriptor(declaration: Declaration) -> ParameterDescriptor:
@@ -69,7 +133,9 @@ def descriptor(declaration: Declaration) -> ParameterDescriptor:
     result = ParameterDescriptor(
         description=declaration.meaning + unit,
         additional_constraints=declaration.range_text,
-        read_only=True,
+        read_only=not declaration.changeable,
+        type=_TYPES[declaration.type_name].value,
+        dynamic_typing="float" in declaration.type_name,  # an integer serves as well
     )
     # ROS ranges are closed on both sides; any other range is in the text, and `build` checks it.
     if declaration.low is not None and declaration.high is not None:

@@ -18,12 +18,27 @@ from insdvl.tuner.models import ModelError
 from insdvl.tuner.parameters import TunerParameters
 from insdvl.tuner.republish import set_learned, tune
 from insdvl.tuner.tuner import TunedNoise, Tuner
+from ros_insdvl.arguments import Help
 from ros_insdvl.execution import run_node
 from ros_insdvl.node import InsdvlNode
 from ros_insdvl.qos import latched_qos
 from ros_insdvl.status.diagnostics import Status, View
 from ros_insdvl.status.tuner.imu import imu_status
 from ros_insdvl.status.tuner.process_noise import Learned
+
+HELP = Help(
+    package="ros_insdvl",
+    executable="tuner",
+    node="/insdvl_tuner",
+    about="""
+The tuner learns the process noise of the filter from the last samples of the IMU.
+
+subscribes  imu/data_raw
+publishes   process_noise, which a filter with process_noise.source 'external' takes; /diagnostics
+services    ~/enable (std_srvs/SetBool): publish process_noise, or not
+""",
+    examples=("--params-file vehicle.yaml", "-p model:=paper -p rate:=2.0"),
+)
 
 
 class TunerNode(InsdvlNode[TunerParameters]):
@@ -87,7 +102,7 @@ class TunerNode(InsdvlNode[TunerParameters]):
 def main() -> int:
     """Run the node until it is interrupted."""
     try:
-        return run_node(TunerNode)
+        return run_node(TunerNode, HELP)
     except ModelError:  # the node has logged it
         return 1
 

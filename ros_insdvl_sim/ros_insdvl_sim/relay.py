@@ -15,11 +15,26 @@ from typing import Any
 from insdvl.messages.topics import BY_NAME, PROCESS_NOISE
 from insdvl.parameters.declaration import ParameterError
 from insdvl.studies.faults.link import RelayParameters, links
+from ros_insdvl.arguments import Help
 from ros_insdvl.conversions import message_class
 from ros_insdvl.execution import run_node
 from ros_insdvl.node import InsdvlNode
 from ros_insdvl.qos import latched_qos
 from ros_insdvl.status.diagnostics import Status, View
+
+HELP = Help(
+    package="ros_insdvl_sim",
+    executable="relay",
+    node="/insdvl_relay",
+    about="""
+The relay is a bad network: it loses, delays, reorders and doubles messages between sensors and
+filter.
+
+subscribes  the topics of parameter 'topics', each under the prefix of parameter 'prefix'
+publishes   the same topics without the prefix, /diagnostics
+""",
+    examples=("--params-file network.yaml",),
+)
 
 
 class Relay(InsdvlNode[RelayParameters]):
@@ -135,7 +150,7 @@ def _check(topics: tuple[str, ...]) -> None:
 
 def main() -> None:
     """Run the node until it is interrupted."""
-    sys.exit(run_node(Relay))
+    sys.exit(run_node(Relay, HELP))
 
 
 if __name__ == "__main__":

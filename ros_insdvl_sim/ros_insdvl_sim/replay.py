@@ -11,11 +11,29 @@ from insdvl.recordings.bag_reader import BagReader
 from insdvl.recordings.base import BagError, stamp_ns
 from insdvl.recordings.parameters import ReplayParameters
 from insdvl.recordings.played import played
+from ros_insdvl.arguments import Help
 from ros_insdvl.conversions import message_class
 from ros_insdvl.execution import run_node
 from ros_insdvl.qos import latched_qos
 from ros_insdvl.status.diagnostics import Status, View
 from ros_insdvl_sim.player import Player
+
+HELP = Help(
+    package="ros_insdvl_sim",
+    executable="replay",
+    node="/insdvl_replay",
+    about="""
+The replay plays a rosbag2 recording onto the topics of the filter, at the pace of the IMU's stamps.
+
+publishes   imu/data_raw, dvl/velocity, dvl/velocity_cov, process_noise, gps/fix, set_odometry,
+            ground_truth/odometry, ground_truth/process_noise: those that the recording has;
+            /diagnostics, and /clock with rate_factor
+
+It starts when imu/data_raw has min_subscribers subscribers, and ends with the recording.
+`insdvl replay` runs the filter over a recording without ROS.
+""",
+    examples=("-p bag:=FOLDER", "-p bag:=FOLDER -p imu_topic:=/xsens/imu"),
+)
 
 
 class Replay(Player[ReplayParameters]):
@@ -70,7 +88,7 @@ class Replay(Player[ReplayParameters]):
 
 def main() -> None:
     """Run the node until the recording is played and all of it has arrived."""
-    sys.exit(run_node(Replay))
+    sys.exit(run_node(Replay, HELP))
 
 
 if __name__ == "__main__":

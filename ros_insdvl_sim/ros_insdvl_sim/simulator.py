@@ -12,10 +12,26 @@ from insdvl.parameters.declaration import ParameterError
 from insdvl.simulation.messages import StreamFormat, mission_messages, topics_of
 from insdvl.simulation.mission import mission_of
 from insdvl.simulation.parameters import SimulatorParameters
+from ros_insdvl.arguments import Help
 from ros_insdvl.conversions import message_class
 from ros_insdvl.execution import run_node
 from ros_insdvl.status.diagnostics import Status, View
 from ros_insdvl_sim.player import Player
+
+HELP = Help(
+    package="ros_insdvl_sim",
+    executable="simulator",
+    node="/insdvl_simulator",
+    about="""
+The simulator publishes the sensors of a simulated vehicle on a mission, and the truth.
+
+publishes   imu/data_raw, dvl/velocity, depth/pressure where it is on, ground_truth/odometry,
+            ground_truth/process_noise, /diagnostics, and /clock with rate_factor
+
+It starts when imu/data_raw has min_subscribers subscribers, and ends with the mission.
+""",
+    examples=("-p seed:=3 -p duration:=60.0", "-p rate_factor:=5.0"),
+)
 
 
 class Simulator(Player[SimulatorParameters]):
@@ -89,7 +105,7 @@ class Simulator(Player[SimulatorParameters]):
 
 def main() -> None:
     """Run the node until the mission is over and all of it has arrived."""
-    sys.exit(run_node(Simulator))
+    sys.exit(run_node(Simulator, HELP))
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from rcl_interfaces.msg import ParameterType
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -16,15 +17,18 @@ from ros_insdvl.node import InsdvlNode
 
 WRONG = [
     (["-p", "imu.rte:=100.0"], ["imu.rte", "imu.rate"]),
-    (["-p", "imu.rate:=100"], ["imu.rate", "float", "100"]),
+    (["-p", "imu.rate:=true"], ["imu.rate", "float", "True"]),
     (["-p", "imu.rate:=-3.0"], ["imu.rate", "> 0", "-3.0"]),
     (["-p", "process_noise.adaptive_window:=1.5"], ["adaptive_window", "int", "1.5"]),
     (["-p", "gate.enabled:=1"], ["gate.enabled", "bool", "1"]),
     (["-p", "process_noise.source:=magic"], ["process_noise.source", "external", "magic"]),
     (["-p", "dvl.lever_arm:=[1.0, 2.0]"], ["dvl.lever_arm", "3 values", "[1.0, 2.0]"]),
-    (["-p", "dvl.lever_arm:=[1, 2, 3]"], ["dvl.lever_arm", "list of floats"]),
+    (["-p", "dvl.lever_arm:=[a, b, c]"], ["dvl.lever_arm", "list of floats"]),
     (["-p", "dvl.lever_arm:=[]"], ["dvl.lever_arm", "list of floats"]),
-    (["-p", "dvl.lever_arm:=[1, 2.5, 3]"], ["dvl.lever_arm"]),
+    (
+        ["-p", "dvl.lever_arm:=[1, 2.5, 3]"],
+        ["dvl.lever_arm", "Sequence should be of same type. Value type 'double' do not belong at"],
+    ),
     (["-p", "output_delay:=3.0"], ["output_delay", "max_delay", "3.0"]),
     (["-p", "use_sim_time:=3"], ["use_sim_time", "BOOL", "3"]),
     (
@@ -55,13 +59,22 @@ def make(context: Context, group: type[Any] = FilterParameters, **values: Any) -
     return InsdvlNode("insdvl_filter", group, context=context, parameter_overrides=overrides)
 
 
+FILES = (
+    "/**/insdvl_filter:\n  ros__parameters:\n    dvl: {noise: [0.1, 0.1, 0.1]}\n",
+    "/**:\n  ros__parameters: {a: [1, 2.5], b: }\n",
+)
+
+
 @pytest.fixture(scope="module")
 def started(tmp_path_factory: pytest.TempPathFactory) -> list[Start]:
-    """The filter, started with each of the wrong arguments, and with a wrong file."""
-    file = tmp_path_factory.mktemp("wrong") / "parameters.yaml"
-    file.write_text("/**/insdvl_filter:\n  ros__parameters:\n    dvl: {noise: [0.1, 0.1, 0.1]}\n")
-    arguments = [arguments for arguments, _ in WRONG]
-    return starts("ros_insdvl.filter", [*arguments, ["--params-file", str(file)]])
+    """The filter, started with each of the wrong arguments, and with wrong files."""
+    arguments, given = [arguments for arguments, _ in WRONG], []
+    for k, text in enumerate(FILES):
+        file = tmp_path_factory.mktemp("wrong") / f"parameters_{k}.yaml"
+        file.write_text(text)
+        given += ["--params-file", str(file)]
+    several = ["-p", "imu.rate:=0", "-p", "gate.enabled:=1", "-p", "qos_overrides./a.b.depth:=0"]
+    return starts("ros_insdvl.filter", [*arguments, given[:2], given, several])
 
 
 @pytest.mark.parametrize("k", range(len(WRONG)), ids=[w[0][1].split(":=")[0] for w in WRONG])
@@ -74,9 +87,20 @@ def test_wrong_parameter_ends_the_node_with_its_name(started: list[Start], k: in
         assert text in lines[0]
 
 
-def test_wrong_parameter_in_a_file_is_named(started: list[Start]) -> None:
-    assert started[-1].code == 2
-    assert "dvl.noise" in started[-1].err
+def test_wrong_parameter_in_a_file_is_named_with_its_place(started: list[Start]) -> None:
+    assert started[-3].code == 2
+    assert "parameters_0.yaml, line 3, section '/**/insdvl_filter': unknown" in started[-3].err
+    assert "dvl.noise" in started[-3].err
+
+
+def test_all_faults_of_files_and_of_arguments_are_told_at_once(started: list[Start]) -> None:
+    assert started[-2].code == started[-1].code == 2
+    assert len(started[-2].err.splitlines()) == 2
+    assert "line_num 2" in started[-2].err
+    assert "No value at line 2" in started[-2].err
+    assert len(started[-1].err.splitlines()) == 3
+    for name in ("imu.rate", "gate.enabled", "qos_overrides./a.b.depth"):
+        assert f"'{name}'" in started[-1].err
 
 
 def test_nothing_is_published_by_a_node_with_a_wrong_parameter(context: Context) -> None:
@@ -102,7 +126,13 @@ def test_every_parameter_is_described(context: Context) -> None:
         found = node.describe_parameter(declaration.name)
         assert found.description.startswith(declaration.meaning)
         assert found.additional_constraints == declaration.range_text
-        assert found.read_only
+        assert found.read_only is not declaration.changeable
+        is_float = "float" in declaration.type_name
+        assert found.dynamic_typing is is_float
+        if is_float:
+            lists = ParameterType.PARAMETER_DOUBLE_ARRAY
+            one = ParameterType.PARAMETER_DOUBLE
+            assert found.type == (lists if declaration.length else one)
     assert "[Hz]" in node.describe_parameter("imu.rate").description
     (bounds,) = node.describe_parameter("dvl.gyro_average").floating_point_range
     assert (bounds.from_value, bounds.to_value) == (0.0, 10.0)
@@ -117,6 +147,20 @@ def test_change_at_run_time_is_refused_with_a_reason(context: Context) -> None:
     assert not result.successful
     assert "imu.rate" in result.reason
     assert node.get_parameter("imu.rate").value == 100.0
+    node.destroy_node()
+
+
+def test_an_integer_serves_as_a_float(context: Context) -> None:
+    node = make(context, **{"imu.rate": 200, "dvl.lever_arm": [1, 2, 3], "dvl.noise_std": 1})
+    assert node.parameters.imu.rate == 200.0
+    for name, value in (
+        ("imu.rate", 200.0),
+        ("dvl.lever_arm", [1.0, 2.0, 3.0]),
+        ("dvl.noise_std", [1.0, 1.0, 1.0]),
+    ):
+        found = node.get_parameter(name)
+        assert found.type_ in (Parameter.Type.DOUBLE, Parameter.Type.DOUBLE_ARRAY)
+        assert found.value == value or list(found.value) == value
     node.destroy_node()
 
 

@@ -38,7 +38,7 @@ class Event(ABC):
     Attributes:
         stamp_ns: When.
         kind: Order of events with the same stamp: first the IMU sample, then origin, initial
-            state, process noise and orientation, then the measurements.
+            state, settings, process noise and orientation, then the measurements.
         follows_samples: Whether it is made from the newest samples, some of which may still be on
             their way; it may then be ahead of them.
     """
@@ -185,7 +185,7 @@ class ProcessNoise(Event):
     Q_f: Array | None
     Q_w: Array | None
 
-    kind = 3
+    kind = 4
     follows_samples = True
 
     def payload(self) -> bytes:
@@ -209,7 +209,7 @@ class Orientation(Event):
     C_n_i: Array
     heading_std: float
 
-    kind = 4
+    kind = 5
 
     @property
     def starts_only(self) -> bool:

@@ -93,6 +93,11 @@ class Filter:
             c["variance"][at], c["decay"][at] = np.square(block.std), 1.0 / block.time_constant
         self.models: dict[str, SensorModel[Any]] = {}
         self._gates: dict[str, Gate] = {}
+        self.configure(parameters)
+
+    def configure(self, parameters: FilterParameters) -> None:
+        """Use the settings of parameters (see settings.py) that are equal in everything else."""
+        self.parameters = parameters
         for name, sensor in parameters.sensors.items():
             self.models[name] = sensor.model(self.vehicle)
             self._gates[name] = Gate(parameters.gate, name, self.models[name], self.vehicle)

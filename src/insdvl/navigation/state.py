@@ -28,6 +28,8 @@ Workspace: TypeAlias = Any
 
 #: Stamp of something that has not happened.
 NEVER = -(2**62)
+#: A stamp after all others.
+FOREVER = 2**62
 
 #: Error states that every filter has, see error_state.py.
 CORE = 15

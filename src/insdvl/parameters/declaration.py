@@ -5,8 +5,8 @@ and meaning. The ROS declarations and descriptors, the checks of YAML files, the
 docs/reference/parameters.md and the example files are all made from it. Groups nest; the full name
 of a nested field is joined by dots (``dvl.lever_arm``).
 
-Types are strict, as in ROS 2: ``5`` is not a float, and a list of floats has only floats. An error
-names the parameter, the value and the allowed range.
+Types are strict, but for one thing: an integer, or a list of integers, serves as floats. An error
+names the parameter, the value and the allowed range, and all faults are told at once.
 """
 
 import dataclasses
@@ -24,7 +24,7 @@ _Group = TypeVar("_Group")
 
 
 class ParameterError(ValueError):
-    """A parameter has an unknown name, the wrong type or a value out of range."""
+    """Parameters have unknown names, wrong types or values out of range; a line for each fault."""
 
 
 #: Largest magnitude of a value by its unit, for parameters without bounds of their own. It exceeds
@@ -55,6 +55,8 @@ def parameter(
     above: float | None = None,
     choices: tuple[str, ...] = (),
     length: int | None = None,
+    one_for_all: bool = False,
+    changeable: bool = False,
 ) -> Any:
     """A dataclass field that is a parameter.
 
@@ -68,6 +70,8 @@ def parameter(
         above: The value must be greater than this.
         choices: The allowed strings; empty for any.
         length: Number of elements of a list.
+        one_for_all: Whether a single value stands for all elements of a list.
+        changeable: Whether it may change while the node runs, see `changed`.
     """
     if unit in WIDEST:
         high = WIDEST[unit] if high is None else high
@@ -80,6 +84,8 @@ def parameter(
         "above": above,
         "choices": choices,
         "length": length,
+        "one_for_all": one_for_all,
+        "changeable": changeable,
     }
     return field(default=default, metadata=metadata)
 
@@ -97,6 +103,8 @@ class Declaration:
     above: float | None
     choices: tuple[str, ...]
     length: int | None
+    one_for_all: bool
+    changeable: bool
 
     @property
     def type_name(self) -> str:
@@ -130,9 +138,18 @@ class Declaration:
             ParameterError: It has the wrong type or is out of range.
         """
         if type(self.default) is tuple:
+            if self.one_for_all and self.length and type(value) in (int, float):
+                value = [value] * self.length
             if isinstance(value, str) or not hasattr(value, "__iter__"):
                 raise self._wrong_type(value)
             elements = tuple(value)
+            if not elements:  # it has no type in ROS
+                raise ParameterError(
+                    f"parameter '{self.name}' must be {self.range_text or 'not empty'}, got an "
+                    f"empty list, not a {self.type_name}"
+                )
+            if type(self.default[0]) is float and all(type(element) is int for element in elements):
+                elements = tuple(self._as_float(element) for element in elements)
             if any(type(element) is not type(self.default[0]) for element in elements):
                 raise self._wrong_type(value)
             if self.length is not None and len(elements) != self.length:
@@ -141,6 +158,8 @@ class Declaration:
                 if type(element) is float and not self._allows(element):
                     raise self._out_of_range(value)
             return elements
+        if type(self.default) is float and type(value) is int:
+            value = self._as_float(value)
         if type(value) is not type(self.default):
             raise self._wrong_type(value)
         if self.choices and value not in self.choices:
@@ -155,6 +174,12 @@ class Declaration:
         if number and not self._allows(value):
             raise self._out_of_range(value)
         return value
+
+    def _as_float(self, value: int) -> float:
+        try:
+            return float(value)
+        except OverflowError:
+            raise self._out_of_range(value) from None
 
     def _allows(self, value: float) -> bool:
         return (
@@ -219,31 +244,62 @@ def build(group: type[_Group], values: Mapping[str, Any], prefix: str = "") -> _
     """A group from full names and values; all others take their defaults.
 
     Raises:
-        ParameterError: A name is unknown, a type is wrong, a value is out of range, or values
-            contradict each other.
+        ParameterError: Names are unknown, types are wrong or values out of range; if none is,
+            values contradict each other.
     """
+    found = faults(group, values, prefix)
+    if found:
+        raise ParameterError("\n".join(found.values()))
     known = {declaration.name: declaration for declaration in declarations(group, prefix)}
-    for name in values:
-        if name.startswith(prefix) and name not in known:
+    checked = {name: known[name].check(value) for name, value in values.items() if name in known}
+    return _build(group, checked, prefix)
+
+
+def faults(group: type[Any], values: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
+    """What is wrong with single values, by their full names; contradictions are not among it."""
+    known = {declaration.name: declaration for declaration in declarations(group, prefix)}
+    found = {}
+    for name, value in values.items():
+        if name in known:
+            try:
+                known[name].check(value)
+            except ParameterError as error:
+                found[name] = str(error)
+        elif name.startswith(prefix):
             near = difflib.get_close_matches(name, known, n=3, cutoff=0.0)
-            raise ParameterError(
-                f"unknown parameter {shown(name)}; the nearest are {', '.join(near)}"
-            )
-    return _build(group, values, known, prefix)
+            found[name] = f"unknown parameter {shown(name)}; the nearest are {', '.join(near)}"
+    return found
 
 
-def _build(
-    group: type[_Group], values: Mapping[str, Any], known: Mapping[str, Declaration], prefix: str
-) -> _Group:
+def _build(group: type[_Group], values: Mapping[str, Any], prefix: str) -> _Group:
+    """As `build`, from checked values."""
     types = typing.get_type_hints(group)
-    arguments = {}
+    arguments, contradictions = {}, []
     for item in dataclasses.fields(group):  # type: ignore[arg-type]
         name = prefix + item.name
         if dataclasses.is_dataclass(types[item.name]):
-            arguments[item.name] = _build(types[item.name], values, known, name + ".")
+            try:
+                arguments[item.name] = _build(types[item.name], values, name + ".")
+            except ParameterError as error:
+                contradictions.append(str(error))
         elif name in values:
-            arguments[item.name] = known[name].check(values[name])
+            arguments[item.name] = values[name]
+    if contradictions:
+        raise ParameterError("\n".join(contradictions))
     return group(**arguments)
+
+
+def changed(group: _Group, values: Mapping[str, Any]) -> _Group:
+    """A group with other values of parameters that may change while a node runs.
+
+    Raises:
+        ParameterError: `build` refuses the values, or a parameter may not change.
+    """
+    fixed = {d.name for d in declarations(type(group)) if not d.changeable}
+    found = [f"parameter '{name}' is read-only" for name in values if name in fixed]
+    if found:
+        raise ParameterError("\n".join(found))
+    return build(type(group), flatten(group) | values)
 
 
 def flatten(group: Any, prefix: str = "") -> dict[str, Any]:

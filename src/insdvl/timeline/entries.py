@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 
 from insdvl.navigation.events import Event, Initial, Measurement, Origin
 from insdvl.navigation.measurements.report import UpdateReport
+from insdvl.navigation.parameters import FilterParameters
+from insdvl.navigation.settings import Settings
 
 #: Most events of each kind that are kept before the first sample.
 MAX_WAITING = 1000
@@ -22,14 +24,19 @@ class Entry:
 class Entries:
     """Events sorted by (stamp, kind, payload); of one stamp and kind there is one.
 
+    Args:
+        parameters: With the settings that are in force before all events.
+
     Attributes:
         ordered: All that are kept.
         unpublished: Measurements that `Fold.take` has not returned yet, in the order of arrival.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, parameters: FilterParameters) -> None:
         self.ordered: list[Entry] = []
         self.unpublished: list[Entry] = []
+        self._first_settings = parameters
+        self._settings: list[Entry] = []  # those of `ordered`
 
     def insert(self, event: Event) -> tuple[bool, bool]:
         """Insert an event; of one stamp and kind that with the smallest payload counts.
@@ -46,6 +53,8 @@ class Entries:
             kept.key, kept.event = entry.key, event
             return True, True
         self.ordered.insert(at, entry)
+        if isinstance(event, Settings):
+            bisect.insort(self._settings, entry)
         if isinstance(event, Measurement):
             self.unpublished.append(entry)
         return False, True
@@ -70,8 +79,21 @@ class Entries:
         """Index of the first event after a stamp."""
         return bisect.bisect_right(self.ordered, stamp_ns, key=lambda entry: entry.event.stamp_ns)
 
+    def begin_with(self, parameters: FilterParameters) -> None:
+        """Settings that are in force before all events."""
+        self._first_settings = parameters
+
+    def settings_at(self, stamp_ns: int) -> FilterParameters:
+        """The parameters with the settings in force after the events up to a stamp."""
+        for entry in reversed(self._settings):
+            if entry.event.stamp_ns <= stamp_ns and isinstance(entry.event, Settings):
+                return entry.event.parameters
+        return self._first_settings
+
     def forget(self, until_ns: int) -> None:
         """Drop the events up to a stamp."""
+        self._first_settings = self.settings_at(until_ns)
+        self._settings = [e for e in self._settings if e.event.stamp_ns > until_ns]
         self.ordered = [entry for entry in self.ordered if entry.event.stamp_ns > until_ns]
 
     def another_start(self, e: int, until_ns: int) -> bool:

@@ -8,9 +8,7 @@ An event between two samples cuts the sample that spans it, so it waits for that
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
-from functools import partial
-from typing import Any
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -19,17 +17,14 @@ from insdvl.navigation.events import (
     NS,
     Event,
     Imu,
-    Initial,
-    Measurement,
-    Orientation,
     Origin,
-    ProcessNoise,
     refusal,
 )
 from insdvl.navigation.filter import Filter
 from insdvl.navigation.parameters import FilterParameters
+from insdvl.navigation.settings import Settings
 from insdvl.navigation.start import zero_velocity
-from insdvl.navigation.state import NEVER, State, counters
+from insdvl.navigation.state import FOREVER, NEVER, State, counters
 from insdvl.timeline.entries import Entries
 from insdvl.timeline.jumps import Run, Suspects, TimeJump
 from insdvl.timeline.output import (
@@ -44,6 +39,7 @@ from insdvl.timeline.output import (
     split,
 )
 from insdvl.timeline.samples import Samples
+from insdvl.timeline.steps import Steps
 
 #: So many samples may be on their way to the filter (of one that is starved, in the queues of
 #: sender and receiver) while what was measured with the newest of them is there already.
@@ -71,16 +67,13 @@ class Fold:
         self._rest_ns = zero_velocity.window_ns(parameters.imu.rate)
         turn_ns = (model.turn_window_ns for model in self.filter.models.values())
         self._window_ns = max(self._rest_ns, *turn_ns)
-        self._hear: dict[int, Callable[[Records, Any], None]] = {
-            Origin.kind: self.filter.locate,
-            ProcessNoise.kind: self.filter.receive_process_noise,
-            Orientation.kind: self.filter.hear_orientation,
-        }
         self._capacity = capacity
+        self._entries = Entries(parameters)
+        self._changes = 0  # of settings
         self._clear()
 
     def reset(self) -> bool:
-        """Forget everything but where odom lies on the Earth; initialisation starts again.
+        """Forget all but the settings and odom's place on the Earth; initialisation starts again.
 
         With ``initial.mode: auto`` heading and position stay known; returns whether they do.
         """
@@ -102,19 +95,21 @@ class Fold:
         #: The time jump that ``jump_action: hold`` does not follow; None when there is none.
         self.held: TimeJump | None = None
         self._suspects = Suspects(self._near_ns, self._max_gap_ns, self._jump_limit_ns)
-        self._begin()
+        self._begin(self.settings)
 
-    def _begin(self) -> None:
+    def _begin(self, settings: FilterParameters) -> None:
         """An empty time."""
         self._suspects.end_run()
         self._start = self.filter.empty()
-        self._state = self._start.copy()
         self._samples = Samples(self.filter.C_b_i, self._capacity, self._start.dtype)
-        self._entries = Entries()
+        self._entries = Entries(settings)
+        self._steps = Steps(
+            self.filter, self._samples, self._entries, self._jump_limit_ns, self._rest_ns
+        )
         self._published_ns = NEVER
         self._resumed_ns = NEVER  # stamp of the state of another run, where this one went on
 
-    def resume(self, record: Records) -> None:
+    def resume(self, record: Records, settings: FilterParameters | None = None) -> None:
         """Go on from a state of another run: it becomes that of the newest sample.
 
         The time up to the first sample is a gap. What is not later than the record is too late.
@@ -123,8 +118,11 @@ class Fold:
 
         Args:
             record: (1,) an initialised state of a filter of the same parameters.
+            settings: The parameters with the settings that were in force there; those now if None.
         """
         self._clear()
+        if settings is not None:
+            self._entries.begin_with(settings)
         self._start[0] = record[0]
         for group, name in counters(self._start[0]).values():
             group[name] = 0
@@ -133,6 +131,27 @@ class Fold:
         self._published_ns = self._resumed_ns = stamp_ns
 
     # ---------------------------------------------------------------- input
+
+    @property
+    def settings(self) -> FilterParameters:
+        """The parameters with the settings that were given last."""
+        return self._entries.settings_at(FOREVER)
+
+    def change(self, parameters: FilterParameters) -> int | None:
+        """Change settings from the newest sample on, or before the first one from the start.
+
+        Args:
+            parameters: Those of the filter but for the settings (see `navigation.settings`).
+
+        Returns:
+            The stamp from which on they are in force, None for the start.
+        """
+        if self.newest_ns == NEVER:
+            self._entries.begin_with(parameters)
+            return None
+        self._changes += 1
+        self._insert(Settings(self.newest_ns, parameters, self._changes))
+        return self.newest_ns
 
     def add(self, event: Event) -> str | None:
         """Insert an event.
@@ -265,7 +284,7 @@ class Fold:
         self._counts.update(result.counts)
         self._counts.update(time_jumps=1, odom_resets=1)
         origin = self._origin()
-        self._begin()
+        self._begin(self.parameters if self._only_resumed else self.settings)
         if origin is not None:
             self.filter.locate(self._start, origin)
 
@@ -304,7 +323,7 @@ class Fold:
 
         What is kept reaches back by max_delay, and before that by the window of a measurement.
         """
-        self._fold()
+        self._steps.fold(self._start)
         samples = self._samples
         oldest_ns = self._last_ns - self._max_delay_ns
         reach_ns = min(oldest_ns, self._published_ns) - self._window_ns
@@ -315,84 +334,6 @@ class Fold:
         self._start[0] = samples.states[drop - 1]
         samples.drop(drop)
         self._entries.forget(int(self._start[0]["channels"]["imu_ns"]))
-
-    # ---------------------------------------------------------------- fold
-
-    def _fold(self) -> None:
-        """Make the states of all samples valid."""
-        samples, state, entries = self._samples, self._state, self._entries.ordered
-        n, k = samples.count, samples.stale
-        if k >= n:
-            return
-        state[0] = samples.states[k - 1] if k else self._start[0]
-        e = self._entries.first_after(int(state[0]["channels"]["imu_ns"]))
-        while k < n:
-            if state[0]["nav"]["initialised"]:
-                next_ns = entries[e].event.stamp_ns if e < len(entries) else None
-                run_end = n if next_ns is None else samples.index_of(next_ns)
-                if run_end > k:
-                    self._predict(state, k, run_end)
-                    k = run_end
-                    continue
-            e = self._fold_sample(state, k, e)
-            samples.states[k] = state[0]
-            k += 1
-        samples.stale = n
-
-    def _predict(self, state: Records, first: int, last: int) -> None:
-        """Advance over the samples first <= k < last."""
-        samples = self._samples
-        arrays = samples.stamps_ns, samples.f_b, samples.w_ib_b, samples.readings
-        self.filter.predict_samples(state, *arrays, first, last, samples.states)
-
-    def _fold_sample(self, state: Records, k: int, e: int) -> int:
-        """Advance over sample k and the events in its interval; returns the next event's index."""
-        samples, entries = self._samples, self._entries.ordered
-        stamp_ns, reading = int(samples.stamps_ns[k]), samples.readings[k]
-        f_b, w_ib_b = samples.f_b[k], samples.w_ib_b[k]
-        while e < len(entries) and entries[e].event.stamp_ns < stamp_ns:
-            event = entries[e].event
-            if state[0]["nav"]["initialised"] and not event.starts_only:
-                self.filter.predict_part(state, stamp_ns, f_b, w_ib_b, reading, event.stamp_ns)
-            self._apply(state, e, k)
-            e += 1
-        if state[0]["nav"]["initialised"]:
-            self._predict(state, k, k + 1)
-        else:
-            self.filter.await_start(state, Imu(stamp_ns, f_b, w_ib_b), reading)
-        while e < len(entries) and entries[e].event.stamp_ns == stamp_ns:
-            self._apply(state, e, k)
-            e += 1
-        return e
-
-    def _apply(self, state: Records, e: int, k: int) -> None:
-        """Apply event e at the time of the state, inside or at the end of sample k's interval."""
-        event = self._entries.ordered[e].event
-        if event.kind in self._hear:
-            self._hear[event.kind](state, event)
-        elif isinstance(event, Initial):
-            self._apply_initial(state, event, e, k)
-        else:
-            assert isinstance(event, Measurement)
-            self._apply_measurement(state, event, e, k)
-
-    def _apply_measurement(self, state: Records, event: Measurement, e: int, k: int) -> None:
-        entry, samples = self._entries.ordered[e], self._samples
-        at, turn_ns = (state, k, event.stamp_ns), self.filter.turn_window_ns(event)
-        turn = samples.turn_rate(*at, turn_ns, self.filter.sample_variance(state))
-        before = partial(samples.window, *at, self._rest_ns)
-        entry.report = self.filter.update(state, event, *turn, before)
-
-    def _apply_initial(self, state: Records, event: Initial, e: int, k: int) -> None:
-        stamp_ns = int(self._samples.stamps_ns[k])
-        waited = state[0]["channels"]["imu_ns"] == NEVER
-        if waited and stamp_ns - event.stamp_ns > self._jump_limit_ns:
-            # Where the vehicle has gone since is unknown.
-            state[0]["counters"]["too_old"] += 1
-        elif waited and event.once and self._entries.another_start(e, stamp_ns):
-            pass  # of several that waited for the first sample the newest is the best
-        elif not (event.once and state[0]["nav"]["initialised"]):
-            self.filter.initialise(state, event, event.stamp_ns, self._samples.w_ib_b[k])
 
     # ---------------------------------------------------------------- output
 
@@ -405,13 +346,13 @@ class Fold:
     @property
     def states(self) -> Records:
         """(N,) states at the stamps of the samples that are kept."""
-        self._fold()
+        self._steps.fold(self._start)
         return self._samples.states[: self._samples.count]
 
     @property
     def updates(self) -> list[AppliedUpdate]:
         """What was done with the measurements that are kept, in the order of stamps."""
-        self._fold()
+        self._steps.fold(self._start)
         return applied(self._entries.ordered)
 
     @property

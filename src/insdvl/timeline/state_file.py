@@ -19,8 +19,9 @@ from insdvl.navigation.events import MAX_DISTANCE, MAX_SPEED, MAX_VARIANCE, NS
 from insdvl.navigation.filter import LAYOUT, Filter
 from insdvl.navigation.geometry.earth import MAX_LATITUDE
 from insdvl.navigation.parameters import FilterParameters
+from insdvl.navigation.settings import differences
 from insdvl.navigation.state import COVARIANCE, NEVER, NUMBER, STAMP, Field, State, part
-from insdvl.parameters.declaration import flatten
+from insdvl.parameters.declaration import changed, flatten
 
 FORMAT = "insdvl state 5"
 #: The line of JSON is no longer than this [bytes].
@@ -49,12 +50,15 @@ class StateFileError(ValueError):
     """A state file cannot be used; the message says why."""
 
 
-def encode(record: State, parameters: FilterParameters) -> bytes:
+def encode(
+    record: State, parameters: FilterParameters, settings: FilterParameters | None = None
+) -> bytes:
     """The content of a file.
 
     Args:
         record: An initialised state.
-        parameters: Of its filter.
+        parameters: Of its filter, as it was started.
+        settings: Its parameters with the settings in force; the same where None.
     """
     data = record.tobytes()
     header = {
@@ -63,8 +67,10 @@ def encode(record: State, parameters: FilterParameters) -> bytes:
         "layout": _layout(record.dtype),
         "blocks": _blocks(parameters),
         "parameters": _deciding(parameters),
-        "sha256": _sha256(data),
     }
+    if changes := differences(parameters, settings or parameters):
+        header["settings"] = changes
+    header["sha256"] = _digest(header, data)
     return json.dumps(header).encode() + b"\n" + data
 
 
@@ -93,7 +99,7 @@ def decode(data: bytes, filter_: Filter) -> Records:
         )
     if header.get("layout") != _layout(LAYOUT.dtype):
         raise StateFileError("written by another version of this software")
-    if len(body) != LAYOUT.dtype.itemsize or header.get("sha256") != _sha256(body):
+    if len(body) != LAYOUT.dtype.itemsize or header.get("sha256") != _digest(header, body):
         raise StateFileError("damaged: wrong checksum")
     if header.get("blocks") != _blocks(filter_.parameters):
         raise StateFileError(
@@ -114,12 +120,40 @@ def decode(data: bytes, filter_: Filter) -> Records:
     return record
 
 
+def decode_settings(data: bytes, parameters: FilterParameters) -> FilterParameters:
+    """The parameters with the settings that were changed at run time and are in force.
+
+    A setting that was started with another value than now is not taken: then the operator has
+    decided anew.
+
+    Args:
+        data: The content of a file that `decode` takes.
+        parameters: Of the filter that is to go on with it.
+
+    Raises:
+        StateFileError: Its settings are not those of any filter.
+    """
+    found = json.loads(data.partition(b"\n")[0]).get("settings", {})
+    values = json.loads(json.dumps(flatten(parameters)))
+    try:
+        taken = {name: new for name, (old, new) in found.items() if values.get(name) == old}
+        return changed(parameters, taken)
+    except (AttributeError, TypeError, ValueError) as error:
+        raise StateFileError(f"damaged: settings are {files.shown(found)}") from error
+
+
 def load(path: Path, filter_: Filter) -> Records | None:
     """The record in a file, in an array of length 1; None where there is no file.
 
     Raises:
         StateFileError: It cannot be read, or `decode` refuses it.
     """
+    data = _content(path)
+    return None if data is None else decode(data, filter_)
+
+
+def _content(path: Path) -> bytes | None:
+    """What is in a file, None where there is none."""
     longest = MAX_HEADER + 1 + LAYOUT.dtype.itemsize
     try:
         if not path.exists():
@@ -132,7 +166,7 @@ def load(path: Path, filter_: Filter) -> Records | None:
         raise StateFileError(f"cannot be read: {error.strerror or error}") from error
     if len(data) > longest:
         raise StateFileError(f"damaged: longer than {longest} bytes")
-    return decode(data, filter_)
+    return data
 
 
 class StateFile:
@@ -147,11 +181,14 @@ class StateFile:
             another has been there for `TOLD_NS`. What is not used is set aside under the name with
             ``.unused`` behind it: the last known position is not lost to a clock that is not set.
         stamp_ns: Stamp of the state that was written last, None before.
+        parameters: Of the filter, as it was started.
+        settings: The same, after `load` with the settings that are in the file.
     """
 
     def __init__(self, path: Path, filter_: Filter) -> None:
         self.path = path
         self._filter = filter_
+        self.parameters = self.settings = filter_.parameters
         self._period_ns = round(filter_.parameters.state_period * NS)
         self._tried_ns: int | None = None
         self.writes = 0
@@ -165,12 +202,15 @@ class StateFile:
     def load(self) -> Records | None:
         """The record in the file, in an array of length 1; None where there is none to use."""
         try:
-            record = load(self.path, self._filter)
+            data = _content(self.path)
+            if data is None:
+                return None
+            record = decode(data, self._filter)
+            self.settings = decode_settings(data, self.parameters)
         except StateFileError as error:
             self._set_aside(str(error))
             return None
-        if record is not None:
-            self._loaded_ns = self._tried_ns = int(record[0]["channels"]["imu_ns"])
+        self._loaded_ns = self._tried_ns = int(record[0]["channels"]["imu_ns"])
         return record
 
     def left_at(self, stamp_ns: int, to_ns: int) -> bool:
@@ -213,7 +253,8 @@ class StateFile:
         self._tried_ns = now_ns
         try:
             _check(state)  # a good file is not replaced by what no filter would go on from
-            files.write(self.path, encode(state, self._filter.parameters))
+            content = encode(state, self.parameters, self._filter.parameters)
+            files.write(self.path, content)
         except OSError as error:
             self._fail(error.strerror or str(error))
         except StateFileError as error:
@@ -253,6 +294,12 @@ def _blocks(parameters: FilterParameters) -> list[list[Any]]:
 def _layout(dtype: np.dtype[np.void]) -> str:
     """Digest of the names, types, shapes and places of a record's fields."""
     return _sha256(repr([dtype.descr, dtype.itemsize]).encode())
+
+
+def _digest(header: dict[str, Any], body: bytes) -> str:
+    """Of the record, and of the settings where some were changed."""
+    changes = header.get("settings")
+    return _sha256((json.dumps(changes).encode() if changes else b"") + body)
 
 
 def _sha256(data: bytes) -> str:

@@ -13,15 +13,20 @@ import yaml
 from insdvl.navigation.events import Imu, ProcessNoise
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
-from insdvl.parameters.declaration import ParameterError, build, declarations, flatten, parameter
+from insdvl.parameters.declaration import (
+    ParameterError,
+    build,
+    changed,
+    declarations,
+    flatten,
+    parameter,
+)
 from insdvl.parameters.sections import NODES, load_section
-from insdvl.recordings.parameters import ReplayParameters
 from insdvl.simulation.parameters import SimulatorParameters
 from insdvl.studies.faults.link import RelayParameters
 from insdvl.studies.report import parameter_page
 from insdvl.studies.report.parameter_page import SECTIONS
 from insdvl.timeline.fold import Fold
-from insdvl.tuner.parameters import TunerParameters
 
 ROOT = Path(__file__).parents[3]
 
@@ -30,6 +35,9 @@ ROOT = Path(__file__).parents[3]
 class Inner:
     gain: float = parameter(0.5, "A gain.", unit="1/s", low=0.0, high=1.0)
     triple: tuple[float, ...] = parameter((1.0, 2.0, 3.0), "Three.", above=0.0, length=3)
+    same: tuple[float, ...] = parameter(
+        (1.0, 1.0), "Two.", above=0.0, length=2, one_for_all=True, changeable=True
+    )
 
 
 @dataclass(frozen=True)
@@ -47,6 +55,42 @@ def test_what_is_given_replaces_the_default_and_nothing_else() -> None:
     assert build(Group, {"inner.gain": 1.0}) == Group(inner=Inner(gain=1.0))
 
 
+def test_integers_serve_as_floats_and_one_value_for_all() -> None:
+    group = build(Group, {"inner.gain": 1, "inner.triple": [1, 2, 3], "inner.same": 2})
+    assert group == Group(inner=Inner(1.0, (1.0, 2.0, 3.0), (2.0, 2.0)))
+    values = [group.inner.gain, *group.inner.triple, *group.inner.same]
+    assert {type(value) for value in values} == {float}
+    assert build(Group, {"inner.same": 0.5}).inner.same == (0.5, 0.5)
+
+
+def test_all_faults_are_told_at_once() -> None:
+    wrong = {"count": 0, "cuont": 1, "on": "x", "inner.gain": 2.0, "mode": "slow"}
+    with pytest.raises(ParameterError) as error:
+        build(Group, wrong)
+    lines = str(error.value).splitlines()
+    assert len(lines) == 4
+    for line, name in zip(lines, ("'count'", "'cuont'", "'on'", "'inner.gain'"), strict=True):
+        assert name in line
+
+
+def test_contradictions_in_several_groups_are_told_at_once() -> None:
+    values = {
+        "process_noise.gyroscope_floor": 1e-3,
+        "process_noise.gyroscope_ceiling": 1e-4,
+        "initial.topic": "a b",
+    }
+    with pytest.raises(ParameterError, match=r"gyroscope_floor'[^\n]*\n.*'initial.topic'"):
+        build(FilterParameters, values)
+
+
+def test_a_running_group_changes_only_where_it_may() -> None:
+    assert changed(Group(), {"inner.same": 2}) == Group(inner=Inner(same=(2.0, 2.0)))
+    with pytest.raises(ParameterError, match="'on' is read-only\nparameter 'count' is read-only"):
+        changed(Group(), {"on": False, "count": 2, "inner.same": 2.0})
+    with pytest.raises(ParameterError, match="'inner.same' must be 2 values"):
+        changed(Group(), {"inner.same": 0.0})
+
+
 @pytest.mark.parametrize(
     ("name", "value", "expected"),
     [
@@ -58,14 +102,21 @@ def test_what_is_given_replaces_the_default_and_nothing_else() -> None:
         ("on", "true", "'on' must be a bool, got 'true'"),
         ("mode", "quick", "'mode' must be one of fast, slow, got 'quick'"),
         ("mode", 1, "'mode' must be a string, got 1"),
-        ("inner.gain", 1, "'inner.gain' must be a float, got 1"),
+        ("inner.gain", True, "'inner.gain' must be a float, got True"),
+        ("inner.gain", 2, "'inner.gain' must be >= 0 and <= 1, got 2"),
+        ("inner.gain", 10**400, "'inner.gain' must be >= 0 and <= 1, got 10"),
         ("inner.gain", -0.1, "'inner.gain' must be >= 0 and <= 1, got -0.1"),
         ("inner.gain", math.nan, "'inner.gain' must be .* got nan"),
         ("inner.gain", math.inf, "'inner.gain' must be .* got inf"),
         ("inner.triple", [1.0, 2.0], "'inner.triple' must be 3 values, each > 0, got"),
         ("inner.triple", [1.0, 2.0, 0.0], "'inner.triple' must be 3 values, each > 0, got"),
         ("inner.triple", [1.0, 2, 3.0], "'inner.triple' must be a list of floats, got"),
+        ("inner.triple", [True] * 3, "'inner.triple' must be a list of floats, got"),
+        ("inner.triple", [1, 2, 0], "'inner.triple' must be 3 values, each > 0, got"),
+        ("inner.triple", [], "'inner.triple' must be 3 values, .* empty list, not a list of fl"),
         ("inner.triple", "1.0", "'inner.triple' must be a list of floats, got"),
+        ("inner.same", True, "'inner.same' must be a list of floats, got True"),
+        ("inner.same", -1.0, "'inner.same' must be 2 values, each > 0, got"),
         (
             "inner.triple",
             1.0,
@@ -212,82 +263,6 @@ def test_the_ends_of_every_range_give_a_finite_state() -> None:
                 assert np.isfinite(state[field_]).all(), (name, value, field_)
         tried += 1
     assert tried > 60
-
-
-# ---------------------------------------------------------------- YAML
-
-
-def write(folder: Path, text: str) -> Path:
-    path = folder / "parameters.yaml"
-    path.write_text(text)
-    return path
-
-
-def test_a_section_gives_its_node_its_values(tmp_path: Path) -> None:
-    path = write(
-        tmp_path,
-        """
-/**/insdvl_filter:
-  ros__parameters:
-    use_sim_time: true
-    qos_overrides: {/imu/data_raw: {subscription: {reliability: reliable}}}
-    max_delay: 3.0
-    dvl: {lever_arm: [0.1, 0.0, -0.2]}
-    gate.enabled: false
-/auv/insdvl_replay:
-  ros__parameters: {bag: here}
-/**/other_node:
-  ros__parameters: {anything: 1}
-/**/insdvl_filter_2:
-  ros__parameters: {max_delay: 4.0}
-/**/insdvl_monitor:
-  ros__parameters: {use_sim_time: true}
-""",
-    )
-    filter_ = load_section(path, "insdvl_filter", FilterParameters, required=True)
-    assert filter_.max_delay == 3.0
-    assert filter_.dvl.lever_arm == (0.1, 0.0, -0.2)
-    assert not filter_.gate.enabled
-    assert load_section(path, "insdvl_replay", ReplayParameters) == ReplayParameters(bag="here")
-    assert load_section(path, "insdvl_tuner", TunerParameters) == TunerParameters()
-
-
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("[1, 2", "cannot read the parameter file"),
-        ("", "it has no sections"),
-        ("- 1", "it has no sections"),
-        ("/**/insdvl_filter: 5", "must contain 'ros__parameters' only"),
-        ("/**/insdvl_filter: {parameters: {}}", "must contain 'ros__parameters' only"),
-        (
-            "/**/insdvl_filter: {ros__parameters: {}, imu: {}}",
-            "must contain 'ros__parameters' only",
-        ),
-        ("/**/insdvl_filtr: {ros__parameters: {}}", "no section '/\\*\\*/insdvl_filter'"),
-        (
-            "{/**/insdvl_filter: {ros__parameters: {}}, /**/insdvl_tunner: {ros__parameters: {}}}",
-            "unknown node 'insdvl_tunner'; known are insdvl_filter, insdvl_tuner",
-        ),
-        ("/**: {ros__parameters: {}}", r"no section '/\*\*/insdvl_filter'; it has /\*\*"),
-        ("/a/insdvl_filter: {ros__parameters: {max_dealy: 1.0}}", "unknown parameter 'max_dealy'"),
-        ("/a/insdvl_filter: {ros__parameters: {dvl: {bias: 1.0}}}", "unknown .* 'dvl.bias'"),
-        ("/a/insdvl_filter: {ros__parameters: {max_delay: 3}}", "'max_delay' must be a float"),
-    ],
-)
-def test_a_wrong_file_is_named_with_what_is_wrong(tmp_path: Path, text: str, expected: str) -> None:
-    path = write(tmp_path, text)
-    with pytest.raises(ParameterError, match=expected) as error:
-        load_section(path, "insdvl_filter", FilterParameters, required=True)
-    assert "parameters.yaml" in str(error.value)
-
-
-def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ParameterError, match=r"absent\.yaml"):
-        load_section(tmp_path / "absent.yaml", "insdvl_filter", FilterParameters)
-    (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ParameterError, match=r"binary\.yaml"):
-        load_section(tmp_path / "binary.yaml", "insdvl_filter", FilterParameters)
 
 
 # ---------------------------------------------------------------- generated files

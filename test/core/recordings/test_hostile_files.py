@@ -488,17 +488,17 @@ def test_a_file_of_parameters_as_large_as_allowed_is_read(
 @pytest.mark.parametrize(
     ("section", "expected"),
     [
-        ("{max_delay: " + "[1.0, " * 40 + "]" * 40 + "}", "'max_delay' must be a float"),
+        ("{max_delay: " + "[1.0, " * 40 + "]" * 40 + "}", "'max_delay' in line 1 has lists"),
         ("{max_delay: [" + "1.0, " * 9999 + "]}", r"\(\d+ characters\)"),
         (
             "{process_noise: {adaptive_window: 0x" + "f" * 5000 + "}}",
-            "64 bits, got an int too large",
+            "must be an int, got '0xfff",
         ),
         ('{odom_frame: "a\\0b"}', "'odom_frame' must not contain NUL"),
-        ("{max_delay: 1.0e+999}", "'max_delay' must be .* got inf"),
-        ("{max_delay: 2001-01-01}", r"'max_delay' must be a float, got datetime"),
+        ("{max_delay: 1.0e+999}", "'max_delay' must be a float, got '1.0e"),
+        ("{max_delay: 2001-01-01}", r"'max_delay' must be a float, got '2001-"),
         ("{dvl: {mount: []}}", "'dvl.mount' must be 3 values"),
-        ("{dvl.noise_std: [0.1, 0.1, 0.1], dvl: {noise_std: [0.2, 0.2, 0.2]}}", "but .* above"),
+        ("{dvl.noise_std: [0.1, 0.1, 0.1], dvl: {noise_std: [0.2, 0.2, 0.2]}}", "given again"),
         ("{dvl: 1.0}", "unknown parameter 'dvl'"),
         ("{imu: null}", "unknown parameter 'imu'"),
     ],
@@ -511,16 +511,6 @@ def test_a_wrong_value_is_told_in_one_short_line(
     with pytest.raises(ParameterError, match=expected) as caught:
         load_section(path, "insdvl_filter", FilterParameters)
     assert len(str(caught.value)) < 600
-
-
-def test_two_sections_of_a_node_may_not_contradict_each_other(tmp_path: Path) -> None:
-    path = tmp_path / "file.yaml"
-    text = "/**/insdvl_filter: {ros__parameters: {max_delay: 3.0}}\n"
-    path.write_text(text + "/auv/insdvl_filter: {ros__parameters: {max_delay: 3.0}}\n")
-    assert load_section(path, "insdvl_filter", FilterParameters).max_delay == 3.0
-    path.write_text(text + "/auv/insdvl_filter: {ros__parameters: {max_delay: 2.0}}\n")
-    with pytest.raises(ParameterError, match=r"'/auv/.*'max_delay' is 2.0, but 3.0 above"):
-        load_section(path, "insdvl_filter", FilterParameters)
 
 
 # ---------------------------------------------------------------- models

@@ -511,11 +511,10 @@ BAD_INPUT = {
     "no rosbag2": (with_bag("."), "no metadata.yaml"),
     "no configuration": (with_option("--config", "absent.yaml"), "absent.yaml"),
     "no YAML": (with_config("{"), "config.yaml"),
-    "no section of the filter": (with_config("/**: {}"), "no section '/\\*\\*/insdvl_filter'"),
     "an unknown parameter": (with_config(CONFIG + "    imu_topics: /imu"), "'imu_topics'"),
     "a wrong type": (
-        with_config(CONFIG.replace("initial:", "max_delay: 2\n    initial:")),
-        "'max_delay' must be a float, got 2",
+        with_config(CONFIG.replace("initial:", "max_delay: 3_600.0\n    initial:")),
+        "'max_delay' must be a float, got '3_600.0'",
     ),
     "an absent topic": (
         with_config(CONFIG.replace("/imu", "/other")),
@@ -578,6 +577,68 @@ def test_bad_input_ends_with_one_sentence_and_nothing_written(
     assert said.err.count("\n") == 1
     assert re.search(expected, said.err)
     assert sorted(tmp_path.iterdir()) == before
+
+
+def told(folder: Path, capsys: pytest.CaptureFixture[str], *arguments: str) -> list[str]:
+    """What the command says on stderr about parameters, where there is no recording."""
+    given = ["replay", str(folder / "absent"), "--json", str(folder / "a.json"), *arguments]
+    assert cli.main(given) == 2
+    *lines, last = capsys.readouterr().err.splitlines()
+    if "absent does not exist" not in last:
+        lines.append(last)
+    return lines
+
+
+def test_several_files_are_taken_in_their_order(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first, second = tmp_path / "first.yaml", tmp_path / "second.yaml"
+    first.write_text("/**: {ros__parameters: {imu: {rate: 200}, max_delay: 3, foreign: 1}}\n")
+    second.write_text("/**/insdvl_filter: {ros__parameters: {max_delay: 4.0}}\n")
+    arguments = ["replay", str(bag), "--config", str(first), "--config", str(second)]
+    arguments += ["--config", str(config(tmp_path)), "--json", str(tmp_path / "a.json")]
+    assert cli.main(arguments) == 0
+    parameters = json.loads((tmp_path / "a.json").read_text())["parameters"]["insdvl_filter"]
+    assert (parameters["imu.rate"], parameters["max_delay"]) == (200.0, 4.0)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.endswith("unknown parameters are ignored in section '/**': foreign")
+    assert line.startswith("insdvl replay: WARN ")
+
+
+def test_the_namespace_may_be_chosen(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = "/{}/insdvl_filter: {{ros__parameters: {{max_delay: fast}}}}\n"
+    file = tmp_path / "config.yaml"
+    file.write_text(text.format("port") + text.format("starboard"))
+    (line,) = told(tmp_path, capsys, "--config", str(file))
+    assert "/port/insdvl_filter, /starboard/insdvl_filter; choose a namespace" in line
+    for namespace in ("/port", "starboard/"):
+        (line,) = told(tmp_path, capsys, "--config", str(file), "--namespace", namespace)
+        assert f"section '/{namespace.strip('/')}/insdvl_filter': parameter 'max_delay'" in line
+
+
+def test_a_file_for_other_nodes_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "config.yaml"
+    file.write_text("/**/insdvl_filtr: {ros__parameters: {max_delay: 3.0}}\n")
+    (line,) = told(tmp_path, capsys, "--config", str(file))
+    assert "WARN" in line
+    assert "none of the file's values reached any of /insdvl_filter, /insdvl_tuner" in line
+    file.write_text("/**/insdvl_tuner: {ros__parameters: {rate: 2}}\n")
+    (line,) = told(tmp_path, capsys, "--config", str(file))
+    assert "none of the file's values reached this node, /insdvl_filter" in line
+
+
+def test_all_faults_of_all_nodes_are_told_at_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "config.yaml"
+    file.write_text(
+        "/**/insdvl_filter: {ros__parameters: {imu.rate: 0, max_dealy: 1.0}}\n"
+        "/**/insdvl_tuner: {ros__parameters: {rate: -1}}\n"
+        "/**/insdvl_replay: {ros__parameters: {bag: 5}}\n"
+    )
+    lines = told(tmp_path, capsys, "--config", str(file))
+    for line, name in zip(lines, ("'imu.rate'", "'max_dealy'", "'rate'", "'bag'"), strict=True):
+        assert name in line
 
 
 def test_a_recording_that_is_too_long_is_refused_before_it_is_read(

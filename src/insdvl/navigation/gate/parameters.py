@@ -9,12 +9,15 @@ from insdvl.parameters.declaration import parameter
 class GateParameters:
     """Which measurements are used."""
 
-    enabled: bool = parameter(True, "Reject measurements that fail the chi-square gate.")
+    enabled: bool = parameter(
+        True, "Reject measurements that fail the chi-square gate.", changeable=True
+    )
     probability: float = parameter(
         0.999,
         "Probability that a good measurement passes the gate.",
         above=0.5,
         high=1.0 - 1e-12,
+        changeable=True,
     )
     max_rejection_time: float = parameter(
         60.0,
@@ -27,4 +30,5 @@ class GateParameters:
         unit="s",
         above=0.0,
         high=3600.0,
+        changeable=True,
     )

@@ -84,6 +84,7 @@ class DepthParameters(SensorParameters):
         "Noise of the depth, one sigma; a variance in the message replaces it.",
         unit="m",
         low=1e-6,
+        changeable=True,
     )
     water_density: float = parameter(
         1025.0,
@@ -128,6 +129,7 @@ class DepthParameters(SensorParameters):
         "is the repetition of a depth that the gate has rejected. 0 disables the check.",
         low=0,
         high=1_000_000,
+        changeable=True,
     )
 
     EVENT = Depth

@@ -132,6 +132,7 @@ class DvlParameters(SensorParameters):
         "component, that of the message as it is, or always noise_std. Where the message tells no "
         "covariance, or -1 or 0 for a component, it is noise_std.",
         choices=noise.CHOICES,
+        changeable=True,
     )
     noise_std: tuple[float, ...] = parameter(
         (0.1, 0.1, 0.1),
@@ -139,6 +140,8 @@ class DvlParameters(SensorParameters):
         unit="m/s",
         low=1e-6,
         length=3,
+        one_for_all=True,
+        changeable=True,
     )
     noise_floor: float = parameter(
         0.01,
@@ -148,6 +151,7 @@ class DvlParameters(SensorParameters):
         unit="m/s",
         low=0.0,
         high=10.0,
+        changeable=True,
     )
     max_speed: float = parameter(
         10.0,
@@ -155,11 +159,13 @@ class DvlParameters(SensorParameters):
         unit="m/s",
         above=0.0,
         high=MAX_SPEED,
+        changeable=True,
     )
     lock_check: bool = parameter(
         True,
         "Refuse a velocity of exactly zero ('no_lock'), and one that exactly repeats one of the "
         "last eight where resolution and noise make that unlikely by chance ('repeated').",
+        changeable=True,
     )
     gyro_average: float = parameter(
         0.25,

@@ -108,6 +108,7 @@ class HeadingParameters(SensorParameters):
         "message as it is, or always noise_std and roll_pitch_std. They hold where the message "
         "tells none.",
         choices=noise.CHOICES,
+        changeable=True,
     )
     noise_std: float = parameter(
         math.radians(2.0),
@@ -115,6 +116,7 @@ class HeadingParameters(SensorParameters):
         unit="rad",
         low=1e-6,
         high=math.pi,
+        changeable=True,
     )
     roll_pitch_std: float = parameter(
         math.radians(1.0),
@@ -123,6 +125,7 @@ class HeadingParameters(SensorParameters):
         unit="rad",
         low=1e-6,
         high=math.pi,
+        changeable=True,
     )
     noise_floor: float = parameter(
         math.radians(0.5),
@@ -130,6 +133,7 @@ class HeadingParameters(SensorParameters):
         unit="rad",
         low=0.0,
         high=math.pi,
+        changeable=True,
     )
     error_std: float = parameter(
         math.radians(1.0),
@@ -159,6 +163,7 @@ class HeadingParameters(SensorParameters):
         "so is the repetition of one that the gate has rejected. 0 disables the check.",
         low=0,
         high=1_000_000,
+        changeable=True,
     )
 
     EVENT = Heading

@@ -3,6 +3,7 @@
 import argparse
 import math
 import sys
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -10,7 +11,9 @@ from insdvl.files import check_writable, json_text, write
 from insdvl.messages.topics import PROCESS_NOISE
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import ParameterError, flatten
-from insdvl.parameters.sections import load_section
+from insdvl.parameters.files import ParameterFile
+from insdvl.parameters.files import read as read_files
+from insdvl.parameters.sections import full_name, load, nothing_for, reaches, warnings
 from insdvl.recordings.bag_writer import BagWriter
 from insdvl.recordings.base import BagError
 from insdvl.recordings.parameters import ReplayParameters
@@ -32,8 +35,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--config",
         type=Path,
         required=True,
+        action="append",
         metavar="FILE",
-        help="YAML parameter file of the nodes; the sections of filter, tuner and replay are used",
+        help="YAML parameter file of the nodes, read as ROS reads it; the sections of filter, "
+        "tuner and replay are used. Several files are given as with --params-file, in their order",
+    )
+    parser.add_argument(
+        "--namespace",
+        metavar="NS",
+        help="namespace of the nodes; by default the one that the sections are for",
     )
     parser.add_argument("--json", type=Path, required=True, metavar="FILE", help="JSON output file")
     parser.add_argument(
@@ -57,17 +67,17 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"insdvl replay: not enough memory for {arguments.bag}: {error}", file=sys.stderr)
         return 2
     except (ValueError, OSError) as error:
-        sentence = " ".join(str(error).split())  # a YAML error has several lines
-        print(f"insdvl replay: {sentence}", file=sys.stderr)
+        text = str(error)
+        faults = text.splitlines() if isinstance(error, ParameterError) else [text]
+        for fault in faults:
+            print(f"insdvl replay: {' '.join(fault.split())}", file=sys.stderr)
         return 2
     return 0
 
 
 def _replay(arguments: argparse.Namespace) -> None:
     _check_places(arguments)
-    filter_ = load_section(arguments.config, "insdvl_filter", FilterParameters, required=True)
-    tuner = load_section(arguments.config, "insdvl_tuner", TunerParameters)
-    replay = load_section(arguments.config, "insdvl_replay", ReplayParameters)
+    filter_, tuner, replay = _parameters(arguments)
     injection = _injection(arguments)
 
     recording = read(arguments.bag, replay, filter_)
@@ -110,6 +120,41 @@ def _replay(arguments: argparse.Namespace) -> None:
             write_bag(bag, recording, replayed, filter_)
             write(arguments.json, json_text(document).encode())
     print(table_of(document))
+
+
+def _parameters(
+    arguments: argparse.Namespace,
+) -> tuple[FilterParameters, TunerParameters, ReplayParameters]:
+    """The parameters of the three nodes; stderr tells what of the files has no effect."""
+    files = read_files(arguments.config)
+    groups = {
+        "insdvl_filter": FilterParameters,
+        "insdvl_tuner": TunerParameters,
+        "insdvl_replay": ReplayParameters,
+    }
+    names = [_full_name(arguments.namespace, files, node) for node in groups]
+    loaded, faults = [], []
+    for name, group in zip(names, groups.values(), strict=True):
+        try:
+            loaded.append(load(files, name, group))
+        except ParameterError as error:
+            faults += str(error).splitlines()
+    if faults:
+        raise ParameterError("\n".join(dict.fromkeys(faults)))
+    unknown_to_all = [g for g in loaded[0].ignored if all(g in one.ignored for one in loaded)]
+    told = warnings(files, names, unknown_to_all)
+    if not any(reaches(file, names[:1]) for file in files):
+        told += [nothing_for(file, names[:1]) for file in files if reaches(file, names)]
+    for line in told:
+        print(f"insdvl replay: WARN {line}", file=sys.stderr)
+    filter_, tuner, replay = (one.parameters for one in loaded)
+    return filter_, tuner, replay
+
+
+def _full_name(namespace: str | None, files: Sequence[ParameterFile], node: str) -> str:
+    if namespace is None:
+        return full_name(files, node)
+    return f"/{namespace.strip('/')}/{node}" if namespace.strip("/") else f"/{node}"
 
 
 def _check_places(arguments: argparse.Namespace) -> None:
