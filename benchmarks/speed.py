@@ -31,6 +31,7 @@ from insdvl.navigation.events import NS, Event, Imu, Initial
 from insdvl.navigation.filter import Filter
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
+from insdvl.navigation.prediction.kept import TRACK, Kept
 from insdvl.parameters.declaration import build
 from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.mission import Mission, simulate
@@ -42,6 +43,7 @@ from insdvl.timeline.recorded import fold_arrays
 SEED = 7
 DURATION = 120.0  # s
 RATE = 100  # Hz
+EVERY = 25  # of so many samples one whole state is kept, as insdvl evaluate does
 SIGMA = 0.02  # of the DVL, m/s
 EQUAL = 1e-12  # relative difference up to which the C is the filter's work
 PEERS = ("plain numpy", "filterpy", "python-ins")
@@ -193,7 +195,7 @@ def of_the_filter(subject: Subject) -> list[Row]:
     m, n = subject.mission, len(subject.mission.stamps_ns)
     filter_, states = subject.filter, subject.states
     readings = np.hstack([m.f_b, m.w_ib_b])
-    kept = np.empty(RATE, states.dtype)
+    kept = Kept(RATE, states.dtype, EVERY)
     state = states[:1].copy()
 
     def predict() -> None:
@@ -234,7 +236,7 @@ def of_the_filter(subject: Subject) -> list[Row]:
         late._samples.outdate(n - RATE)
         assert late.states[-1]["nav"]["time_ns"] == last["nav"]["time_ns"]
 
-    fold = partial(fold_arrays, subject.parameters, *subject.imu, subject.events)
+    fold = partial(fold_arrays, subject.parameters, *subject.imu, subject.events, EVERY)
     return [
         timed("predict kernel", "sample", predict, RATE - 2, 200),
         timed("fold of a mission", "sample", fold, n, 12),
@@ -345,19 +347,20 @@ def main() -> int:
         rows += others
     notes += left_out
     found = ratios(rows)
+    per_sample = subject.states.itemsize / EVERY + TRACK.itemsize + 6
     print(f"{'':36}{'us':>10}{'spread':>9}   per")
     for row in rows:
         print(f"{row.name:36}{row.microseconds:10.3f}{row.spread:8.1%}    {row.per}")
     print()
     for name, ratio in found.items():
         print(f"{name:60}{ratio:10.1f}")
-    print(f"\nmemory kept per sample: {subject.states.itemsize} bytes")
+    print(f"\nmemory kept per sample: {per_sample:.0f} bytes")
     print("\n".join(notes))
     if arguments.json:
         document = {
             "rows": [vars(row) for row in rows],
             "ratios": found,
-            "bytes_per_sample": subject.states.itemsize,
+            "bytes_per_sample": per_sample,
             "notes": notes,
         }
         arguments.json.write_text(json.dumps(document, indent=1) + "\n")

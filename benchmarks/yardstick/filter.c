@@ -1,7 +1,7 @@
 /* The filter's work for fifteen states, written by hand: what the processor could do.
  *
  * Invariant error state, rotating Earth, no optional states, IMU and DVL in base_link. The equations
- * are those of navigation/strapdown.py, error_state.py, kalman.py and coordinates.py, where they are
+ * are those of navigation/prediction/strapdown.py, error_state.py, kalman.py and coordinates.py, where they are
  * documented; speed.py holds the results of both against each other to 1e-12. Not in here is what is
  * no mathematics of the filter: the order of events, the checks of samples and claims, the gate.
  *

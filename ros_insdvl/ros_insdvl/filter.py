@@ -38,12 +38,12 @@ from insdvl.timeline.output import AppliedUpdate
 from insdvl.timeline.state_file import StateFile
 from insdvl.watch.alignment.check import compile_check
 from insdvl.watch.start import heading_news, is_heading_known, report_of_start
-from ros_insdvl.arguments import Help
 from ros_insdvl.conversions import message_class, new_message
 from ros_insdvl.endpoints import Output
-from ros_insdvl.execution import run_node
 from ros_insdvl.node import InsdvlNode
 from ros_insdvl.parameters import plain
+from ros_insdvl.process.arguments import Help
+from ros_insdvl.process.execution import run_node
 from ros_insdvl.qos import command_qos, latched_command_qos, sensor_qos
 from ros_insdvl.status.diagnostics import Status, View
 from ros_insdvl.status.filter.watch import FilterWatch

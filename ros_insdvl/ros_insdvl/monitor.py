@@ -18,10 +18,10 @@ from insdvl.messages.convert import stamp_ns
 from insdvl.messages.topics import PROCESS_NOISE, TRUE_PROCESS_NOISE, TRUTH
 from insdvl.navigation.events import NS
 from insdvl.watch.monitor_parameters import MonitorParameters
-from ros_insdvl.arguments import Help
-from ros_insdvl.execution import run_node
 from ros_insdvl.node import InsdvlNode
 from ros_insdvl.odometry_series import OdometrySeries
+from ros_insdvl.process.arguments import Help
+from ros_insdvl.process.execution import run_node
 from ros_insdvl.qos import command_qos, publisher_qos
 from ros_insdvl.status.diagnostics import nis_key
 from ros_insdvl.status.heard import ERROR, OK, STALE, WARN, HeardDiagnostics, Report

@@ -12,10 +12,10 @@ from typing import Any
 from insdvl.messages.topics import IMU, PROCESS_NOISE
 from insdvl.parameters.declaration import ParameterError
 from insdvl.tuner.models import ModelError
-from ros_insdvl.arguments import Help
-from ros_insdvl.execution import run_nodes
 from ros_insdvl.filter import FilterNode
 from ros_insdvl.node import InsdvlNode
+from ros_insdvl.process.arguments import Help
+from ros_insdvl.process.execution import run_nodes
 from ros_insdvl.tuner import TunerNode
 
 HELP = Help(

@@ -20,9 +20,9 @@ from insdvl import kernels
 from insdvl.messages.convert import RejectedMessage
 from insdvl.messages.refusals import Refused
 from insdvl.parameters.declaration import ParameterError, declarations
-from ros_insdvl.arguments import parameter_files
 from ros_insdvl.endpoints import Output, subscribe
 from ros_insdvl.parameters import changes, declare
+from ros_insdvl.process.arguments import parameter_files
 from ros_insdvl.qos import overridable, publisher_qos, sensor_qos
 from ros_insdvl.status.connections import Connections
 from ros_insdvl.status.diagnostics import Status, View

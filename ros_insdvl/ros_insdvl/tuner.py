@@ -18,9 +18,9 @@ from insdvl.tuner.models import ModelError
 from insdvl.tuner.parameters import TunerParameters
 from insdvl.tuner.republish import set_learned, tune
 from insdvl.tuner.tuner import TunedNoise, Tuner
-from ros_insdvl.arguments import Help
-from ros_insdvl.execution import run_node
 from ros_insdvl.node import InsdvlNode
+from ros_insdvl.process.arguments import Help
+from ros_insdvl.process.execution import run_node
 from ros_insdvl.qos import latched_qos
 from ros_insdvl.status.diagnostics import Status, View
 from ros_insdvl.status.tuner.imu import imu_status

@@ -15,10 +15,10 @@ from typing import Any
 from insdvl.messages.topics import BY_NAME, PROCESS_NOISE
 from insdvl.parameters.declaration import ParameterError
 from insdvl.studies.faults.link import RelayParameters, links
-from ros_insdvl.arguments import Help
 from ros_insdvl.conversions import message_class
-from ros_insdvl.execution import run_node
 from ros_insdvl.node import InsdvlNode
+from ros_insdvl.process.arguments import Help
+from ros_insdvl.process.execution import run_node
 from ros_insdvl.qos import latched_qos
 from ros_insdvl.status.diagnostics import Status, View
 

@@ -11,9 +11,9 @@ from insdvl.recordings.bag_reader import BagReader
 from insdvl.recordings.base import BagError, stamp_ns
 from insdvl.recordings.parameters import ReplayParameters
 from insdvl.recordings.played import played
-from ros_insdvl.arguments import Help
 from ros_insdvl.conversions import message_class
-from ros_insdvl.execution import run_node
+from ros_insdvl.process.arguments import Help
+from ros_insdvl.process.execution import run_node
 from ros_insdvl.qos import latched_qos
 from ros_insdvl.status.diagnostics import Status, View
 from ros_insdvl_sim.player import Player

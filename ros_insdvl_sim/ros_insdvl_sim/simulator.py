@@ -12,9 +12,9 @@ from insdvl.parameters.declaration import ParameterError
 from insdvl.simulation.messages import StreamFormat, mission_messages, topics_of
 from insdvl.simulation.mission import mission_of
 from insdvl.simulation.parameters import SimulatorParameters
-from ros_insdvl.arguments import Help
 from ros_insdvl.conversions import message_class
-from ros_insdvl.execution import run_node
+from ros_insdvl.process.arguments import Help
+from ros_insdvl.process.execution import run_node
 from ros_insdvl.status.diagnostics import Status, View
 from ros_insdvl_sim.player import Player
 

@@ -155,7 +155,7 @@ def test_an_unknown_heading_is_told_with_what_tells_it() -> None:
 def test_a_bias_beyond_its_sigma_is_told() -> None:
     f = Filter(**{"initial.accelerometer_bias_std": 1e-6})
     f.samples(1, 100)
-    state = f.fold._samples.states[f.fold._samples.count - 1]
+    state = f.fold._samples.kept.at(f.fold._samples.count - 1)
     state["nav"]["b_f"][1] = 0.01
     status = f.look()["initialisation"]
     assert status.level == WARN and "accelerometer bias y is 0.01 m/s^2" in status.message

@@ -12,8 +12,8 @@ from insdvl.messages.topics import taken
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import declarations
 from insdvl.studies.report.parameter_page import SECTIONS
-from ros_insdvl.arguments import split
 from ros_insdvl.filter import HELP as FILTER_HELP
+from ros_insdvl.process.arguments import split
 
 NODES = {
     "ros_insdvl.filter": "insdvl_filter",

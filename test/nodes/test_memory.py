@@ -7,8 +7,8 @@ import sys
 from typing import Any
 
 from insdvl.navigation.parameters import FilterParameters
-from ros_insdvl.execution import run_node
 from ros_insdvl.node import InsdvlNode
+from ros_insdvl.process.execution import run_node
 
 WARM, TURNS = 200, 2000
 

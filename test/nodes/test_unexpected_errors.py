@@ -17,8 +17,8 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Imu
 
 from insdvl.tuner.parameters import TunerParameters
-from ros_insdvl.execution import run_node
 from ros_insdvl.node import InsdvlNode
+from ros_insdvl.process.execution import run_node
 from ros_insdvl.status.heard import ERROR, OK, HeardStatus
 from ros_insdvl.status.unexpected import UNEXPECTED
 

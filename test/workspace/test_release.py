@@ -95,7 +95,7 @@ def test_the_image_is_sent_what_it_copies() -> None:
 
 
 def test_the_unit_restarts_what_may_succeed() -> None:
-    """A wrong parameter ends a node with 2, see `ros_insdvl.execution`."""
+    """A wrong parameter ends a node with 2, see `ros_insdvl.process.execution`."""
     lines = UNIT.read_text().splitlines()
     assert "Restart=on-failure" in lines and "RestartPreventExitStatus=2" in lines
     folders = {name for line in lines for name in re.findall(r"/var/(cache|lib|log)/insdvl", line)}

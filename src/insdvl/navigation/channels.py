@@ -10,8 +10,8 @@ import numpy as np
 
 from insdvl.arrays import Array
 from insdvl.kernels import kernel
-from insdvl.navigation import strapdown
 from insdvl.navigation.geometry.rotation import rotate_back
+from insdvl.navigation.prediction import strapdown
 from insdvl.navigation.state import NEVER, Constants, State, Workspace
 from insdvl.parameters.declaration import lever_arm, mount, parameter, time_offset
 

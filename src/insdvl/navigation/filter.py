@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from insdvl.arrays import Array, Records, Stamps
-from insdvl.navigation import channels, coordinates, kalman, map_to_odom, prediction
+from insdvl.navigation import channels, coordinates, kalman, map_to_odom
 from insdvl.navigation.error_state import HORIZONTAL_POSITION
 from insdvl.navigation.events import (
     NS,
@@ -28,6 +28,8 @@ from insdvl.navigation.measurements import claims
 from insdvl.navigation.measurements.base import SensorModel, Turn, Vehicle
 from insdvl.navigation.measurements.report import UpdateReport
 from insdvl.navigation.parameters import SENSORS, FilterParameters
+from insdvl.navigation.prediction import predict
+from insdvl.navigation.prediction.kept import Kept
 from insdvl.navigation.process_noise import shown, source_of
 from insdvl.navigation.start import zero_velocity
 from insdvl.navigation.start.initial_state import Start, locate, sample_variance_w
@@ -163,7 +165,7 @@ class Filter:
         to_ns: int,
     ) -> None:
         """Advance to a stamp inside the interval of a sample, see `predict_samples`."""
-        prediction.predict_part(
+        predict.predict_part(
             state, self._workspace, self.constants, sample_ns, f_b, w_ib_b, reading, to_ns
         )
 
@@ -176,9 +178,9 @@ class Filter:
         readings: Array,
         first: int,
         last: int,
-        states: Records,
+        kept: Kept,
     ) -> None:
-        """Advance over the samples first <= k < last and keep each state in ``states[k]``.
+        """Advance over the samples first <= k < last and keep what `kept` keeps of each state.
 
         Args:
             state: (1,) record.
@@ -188,9 +190,9 @@ class Filter:
             readings: (N, 6) the same as the IMU has read them, in its axes: f, then w.
             first: Index of the first sample.
             last: Index behind the last sample.
-            states: (N,) records.
+            kept: Of N samples.
         """
-        prediction.predict_samples(
+        predict.predict_samples(
             state,
             self._workspace,
             self.constants,
@@ -200,7 +202,10 @@ class Filter:
             readings,
             first,
             last,
-            states,
+            kept.every,
+            kept.states,
+            kept.track,
+            kept.verdicts,
         )
 
     def receive_process_noise(self, state: Records, event: ProcessNoise) -> None:

@@ -52,9 +52,11 @@ class Fold:
     Args:
         parameters: Of the filter.
         capacity: Number of samples to make room for at first.
+        every: Of so many samples the whole state of the last one is kept; above 1 only for a
+            recording that is added at once.
     """
 
-    def __init__(self, parameters: FilterParameters, capacity: int = 4096) -> None:
+    def __init__(self, parameters: FilterParameters, capacity: int = 4096, every: int = 1) -> None:
         self.parameters = parameters
         self.filter = Filter(parameters)
         self._max_delay_ns = round(parameters.max_delay * NS)
@@ -67,7 +69,7 @@ class Fold:
         self._rest_ns = zero_velocity.window_ns(parameters.imu.rate)
         turn_ns = (model.turn_window_ns for model in self.filter.models.values())
         self._window_ns = max(self._rest_ns, *turn_ns)
-        self._capacity = capacity
+        self._capacity, self._every = capacity, every
         self._entries = Entries(parameters)
         self._changes = 0  # of settings
         self._clear()
@@ -77,7 +79,7 @@ class Fold:
 
         With ``initial.mode: auto`` heading and position stay known; returns whether they do.
         """
-        valid, pose = self._samples.states[: self._samples.stale], None
+        valid, pose = self._samples.kept.states[: self._samples.stale], None
         if len(valid) and valid[-1]["nav"]["initialised"]:
             pose = known_pose(self.filter, valid[-1])
         origins = [e.event for e in self._entries.ordered if isinstance(e.event, Origin)]
@@ -101,7 +103,7 @@ class Fold:
         """An empty time."""
         self._suspects.end_run()
         self._start = self.filter.empty()
-        self._samples = Samples(self.filter.C_b_i, self._capacity, self._start.dtype)
+        self._samples = Samples(self.filter.C_b_i, self._capacity, self._start.dtype, self._every)
         self._entries = Entries(settings)
         self._steps = Steps(
             self.filter, self._samples, self._entries, self._jump_limit_ns, self._rest_ns
@@ -277,7 +279,8 @@ class Fold:
 
     def _leave(self, jump: TimeJump) -> None:
         """Put the present time aside and begin an empty one; where odom lies stays known."""
-        result = FoldResult(self.filter, self.states, self.updates, self._state_counts(), {})
+        counts = self._state_counts()
+        result = FoldResult(self.filter, self.states, self.track, self.updates, counts, {})
         stamps_ns = self._samples.stamps_ns[: self._samples.count]
         unpublished = self._entries.unpublished
         self._left.append(LeftTime(jump, result, stamps_ns, unpublished, self._published_ns))
@@ -291,7 +294,7 @@ class Fold:
     def _origin(self) -> Origin | None:
         """Where odom lies on the Earth, None while no valid state of this run knows."""
         samples = self._samples
-        nav = (samples.states[samples.stale - 1] if samples.stale else self._start[0])["nav"]
+        nav = (samples.kept.at(samples.stale - 1) if samples.stale else self._start[0])["nav"]
         if self._only_resumed or np.isnan(nav["lat_0"]):
             return None
         place = (float(nav[name]) for name in ("lat_0", "lon_0", "h_0"))
@@ -331,7 +334,7 @@ class Fold:
         if drop < max(samples.count // 2, 1):  # the buffer is too small for the delays
             samples.grow(2 * samples.stamps_ns.size)
             return
-        self._start[0] = samples.states[drop - 1]
+        self._start[0] = samples.kept.at(drop - 1)
         samples.drop(drop)
         self._entries.forget(int(self._start[0]["channels"]["imu_ns"]))
 
@@ -345,9 +348,15 @@ class Fold:
 
     @property
     def states(self) -> Records:
-        """(N,) states at the stamps of the samples that are kept."""
+        """(N // every,) states at the stamps of the samples that are kept."""
         self._steps.fold(self._start)
-        return self._samples.states[: self._samples.count]
+        return self._samples.kept.states[: self._samples.count // self._every]
+
+    @property
+    def track(self) -> Records:
+        """(N,) records `kept.TRACK` at the stamps of the samples."""
+        self._steps.fold(self._start)
+        return self._samples.kept.track[: self._samples.count]
 
     @property
     def updates(self) -> list[AppliedUpdate]:
@@ -366,8 +375,8 @@ class Fold:
         return {k: self._counts[k] + n for k, n in self._state_counts().items()} | own
 
     def _state_counts(self) -> dict[str, int]:
-        states = self.states
-        s = states[-1] if len(states) else self._start[0]
+        self._steps.fold(self._start)
+        s = self._steps.newest(self._start)
         return {shown: int(group[name]) for shown, (group, name) in counters(s).items()}
 
     def take(self) -> list[Output]:

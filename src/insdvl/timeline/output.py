@@ -32,7 +32,9 @@ class FoldResult:
 
     Attributes:
         filter: The filter, for `odometry.odometry(filter, states, k)`.
-        states: (N,) state records at the samples' stamps, after the updates.
+        states: (N,) state records at the samples' stamps, after the updates; where a recording is
+            folded with ``every`` above 1, those of every so many samples.
+        track: (N,) records `kept.TRACK` at the samples' stamps.
         updates: What was done with each measurement, in the order of stamps.
         counts: Counters at the end.
         refused: Events that were not used, by reason.
@@ -40,6 +42,7 @@ class FoldResult:
 
     filter: Filter
     states: Records
+    track: Records
     updates: list[AppliedUpdate]
     counts: dict[str, int]
     refused: dict[str, int]

@@ -10,6 +10,7 @@ from insdvl.kernels import kernel
 from insdvl.navigation.channels import GOOD
 from insdvl.navigation.events import Imu
 from insdvl.navigation.geometry.rotation import rotate
+from insdvl.navigation.prediction.kept import Kept
 
 #: How fast a vehicle's turn rate changes, one sigma [rad/s^2]: rolling by 6 deg in 5 s has 0.12.
 TURN_ACCELERATION = 0.1
@@ -105,6 +106,7 @@ class Samples:
         C_b_i: (3, 3) rotation from IMU to base_link axes.
         capacity: Number of samples to make room for at first.
         dtype: Of a state record.
+        every: Of so many samples the whole state of the last one is kept.
 
     Attributes:
         count: Number of samples N.
@@ -113,10 +115,12 @@ class Samples:
         f_b: (N, 3) specific force [m/s^2], base_link axes.
         w_ib_b: (N, 3) angular rate [rad/s], base_link axes.
         readings: (N, 6) the same in the axes of the IMU, f, then w.
-        states: (N,) state records.
+        kept: What is kept of the states at their stamps.
     """
 
-    def __init__(self, C_b_i: Array, capacity: int, dtype: np.dtype[np.void]) -> None:
+    def __init__(
+        self, C_b_i: Array, capacity: int, dtype: np.dtype[np.void], every: int = 1
+    ) -> None:
         self._C_b_i = C_b_i
         self.count = 0
         self.stale = 0
@@ -124,7 +128,7 @@ class Samples:
         self.f_b: Array = np.empty((capacity, 3))
         self.w_ib_b: Array = np.empty((capacity, 3))
         self.readings: Array = np.empty((capacity, 6))
-        self.states: Records = np.empty(capacity, dtype=dtype)
+        self.kept = Kept(capacity, dtype, every)
 
     @property
     def is_full(self) -> bool:
@@ -169,7 +173,7 @@ class Samples:
 
     def _verdicts(self, state: Records, part: slice) -> NDArray[np.int64]:
         """(N, 6) on the channels of samples; the state inside the last interval has the last."""
-        verdicts = self.states["channels"]["verdict"][part].copy()
+        verdicts = self.kept.verdicts[part].astype(np.int64)
         verdicts[-1] = state[0]["channels"]["verdict"]
         return verdicts
 
@@ -252,14 +256,15 @@ class Samples:
         """
         self.stamps_ns[0], self.f_b[0], self.w_ib_b[0] = stamp_ns, 0.0, 0.0
         self.readings[0] = state[0]["channels"]["reading"]
-        self.states[0] = state[0]
+        self.kept.put(state, 0)
         self.count = self.stale = 1
 
     def drop(self, count: int) -> None:
         """Forget the first samples; all states are valid."""
         keep = self.count - count
-        for array in (self.stamps_ns, self.f_b, self.w_ib_b, self.readings, self.states):
+        for array in (self.stamps_ns, self.f_b, self.w_ib_b, self.readings):
             array[:keep] = array[count : self.count].copy()
+        self.kept.drop(count, self.count)
         self.count = self.stale = keep
 
     def grow(self, size: int) -> None:
@@ -268,7 +273,7 @@ class Samples:
         self.f_b = _grown(self.f_b, size)
         self.w_ib_b = _grown(self.w_ib_b, size)
         self.readings = _grown(self.readings, size)
-        self.states = _grown(self.states, size)
+        self.kept.grow(size)
 
 
 def _grown(array: NDArray[Any], size: int) -> NDArray[Any]:

@@ -8,7 +8,7 @@ from insdvl.arrays import Records
 from insdvl.navigation.events import Imu, Initial, Measurement, Orientation, Origin, ProcessNoise
 from insdvl.navigation.filter import Filter
 from insdvl.navigation.settings import Settings
-from insdvl.navigation.state import NEVER
+from insdvl.navigation.state import NEVER, State
 from insdvl.timeline.entries import Entries
 from insdvl.timeline.samples import Samples
 
@@ -31,6 +31,7 @@ class Steps:
         self._samples = samples
         self._entries = entries
         self._jump_limit_ns = jump_limit_ns
+        self._state = filter_.empty()
         self._rest_ns = rest_ns
         self._hear: dict[int, Callable[[Records, Any], None]] = {
             Origin.kind: filter_.locate,
@@ -48,7 +49,9 @@ class Steps:
         n, k = samples.count, samples.stale
         if k >= n:
             return
-        state = (samples.states[k - 1 : k] if k else start).copy()
+        state, last = self._state, samples.kept.before(k)
+        state[0] = samples.kept.at(last) if last >= 0 else start[0]
+        k = last + 1
         stamp_ns = int(state[0]["channels"]["imu_ns"])
         e = self._entries.first_after(stamp_ns)
         settings = self._entries.settings_at(stamp_ns)
@@ -63,15 +66,24 @@ class Steps:
                     k = run_end
                     continue
             e = self._fold_sample(state, k, e)
-            samples.states[k] = state[0]
+            samples.kept.put(state, k)
             k += 1
         samples.stale = n
+
+    def newest(self, start: Records) -> State:
+        """The state of the newest sample, all being valid; `start` (1,) where there is none."""
+        samples = self._samples
+        if not samples.count:
+            return start[0]
+        last = samples.count - 1
+        is_kept = samples.kept.before(samples.count) == last
+        return samples.kept.at(last) if is_kept else self._state[0]
 
     def _predict(self, state: Records, first: int, last: int) -> None:
         """Advance over the samples first <= k < last."""
         samples = self._samples
         arrays = samples.stamps_ns, samples.f_b, samples.w_ib_b, samples.readings
-        self._filter.predict_samples(state, *arrays, first, last, samples.states)
+        self._filter.predict_samples(state, *arrays, first, last, samples.kept)
 
     def _fold_sample(self, state: Records, k: int, e: int) -> int:
         """Advance over sample k and the events in its interval; returns the next event's index."""

@@ -13,7 +13,7 @@ from oracle import skew, van_loan
 from places import moved
 from scipy.spatial.transform import Rotation
 
-from insdvl.navigation import coordinates, error_state, strapdown
+from insdvl.navigation import coordinates, error_state
 from insdvl.navigation.error_state import (
     ACCELEROMETER_BIAS,
     ATTITUDE,
@@ -34,6 +34,7 @@ from insdvl.navigation.parameters import (
     OriginParameters,
     ProcessNoiseParameters,
 )
+from insdvl.navigation.prediction import strapdown
 from insdvl.navigation.state import workspace_type
 
 MODELS = ("invariant", "ned")

@@ -20,6 +20,7 @@ from insdvl.navigation.parameters import (
     ImuParameters,
     OriginParameters,
 )
+from insdvl.navigation.prediction.kept import Kept
 from insdvl.simulation.imu import ideal_imu
 from insdvl.simulation.initial_errors import P_0
 from insdvl.simulation.trajectories import AUV, LOOP, STATIC, Channel, Ramp, Trajectory, Wave
@@ -65,13 +66,13 @@ def navigate(filter_, C_n_b, v_n, f_b, w_ib_b, dt, visit, chunk=1000):
         1,
     )
     stamps_ns = np.rint(np.arange(1, len(f_b) + 1) * dt * NS).astype(np.int64)
-    states = np.empty(chunk, state.dtype)
+    kept = Kept(chunk, state.dtype)
     for first in range(0, len(f_b), chunk):
         part = slice(first, first + chunk)
         count = len(f_b[part])
         samples = f_b[part], w_ib_b[part], np.hstack([f_b[part], w_ib_b[part]])
-        filter_.predict_samples(state, stamps_ns[part], *samples, 0, count, states)
-        visit(first, states[:count])
+        filter_.predict_samples(state, stamps_ns[part], *samples, 0, count, kept)
+        visit(first, kept.states[:count])
 
 
 def attitude_errors(C, C_true):
@@ -245,13 +246,14 @@ def test_a_cut_sample_turns_as_the_whole_one():
     readings = np.hstack([f_b, 40.0 * w_ib_b])
     w_ib_b = 40.0 * w_ib_b
     filter_ = flat_filter()
-    whole, states = filter_.empty(), np.empty(len(w_ib_b), filter_.empty().dtype)
+    whole = filter_.empty()
+    kept = Kept(len(w_ib_b), whole.dtype)
     whole[0]["nav"]["time_ns"], whole[0]["nav"]["initialised"] = 0, 1
     whole[0]["nav"]["C_n_b"] = np.eye(3)
     cut = whole.copy()
     stamps_ns = np.arange(1, len(w_ib_b) + 1) * (NS // 100)
     for k, stamp in enumerate(stamps_ns):
-        arrays = stamps_ns, f_b, w_ib_b, readings, k, k + 1, states
+        arrays = stamps_ns, f_b, w_ib_b, readings, k, k + 1, kept
         filter_.predict_samples(whole, *arrays)
         for at in (stamp - 7_654_321, stamp - 1_000_000):
             filter_.predict_part(cut, stamp, f_b[k], w_ib_b[k], readings[k], at)
@@ -264,13 +266,14 @@ def test_a_gap_has_no_coning():
     filter_, w = flat_filter(), np.array([[0.3, 0.0, 0.0], [0.0, 0.3, 0.0]])
     f_b = np.tile([0.0, 0.0, -9.8], (2, 1))
     for interval_ns, coned in ((NS // 100, True), (NS // 5, False)):
-        state, states = filter_.empty(), np.empty(2, filter_.empty().dtype)
+        state = filter_.empty()
+        kept = Kept(2, state.dtype)
         state[0]["nav"]["time_ns"], state[0]["nav"]["initialised"] = 0, 1
         state[0]["nav"]["C_n_b"] = np.eye(3)
         stamps_ns = np.array([NS // 100, NS // 100 + interval_ns])
-        filter_.predict_samples(state, stamps_ns, f_b, w, np.hstack([f_b, w]), 0, 2, states)
+        filter_.predict_samples(state, stamps_ns, f_b, w, np.hstack([f_b, w]), 0, 2, kept)
         dt = interval_ns / NS
-        turn = Rotation.from_matrix(states["nav"]["C_n_b"][0].T @ states["nav"]["C_n_b"][1])
+        turn = Rotation.from_matrix(kept.at(0)["nav"]["C_n_b"].T @ kept.at(1)["nav"]["C_n_b"])
         expected = w[1] * dt + coned * np.cross(w[0], w[1]) * dt**2 / 12.0
         np.testing.assert_allclose(turn.as_rotvec(), expected, atol=1e-14)
 

@@ -49,7 +49,7 @@ def test_a_heavy_prior_keeps_the_prediction() -> None:
 
 
 def body_rmse(fold: FoldResult, run: Run) -> float:
-    return rmse(track_of(fold.states).v_b - run.truth.v_b)
+    return rmse(track_of(fold).v_b - run.truth.v_b)
 
 
 def test_the_filter_with_a_nominal_q_that_is_too_small_gains() -> None:

@@ -40,9 +40,9 @@ from insdvl.navigation.measurements.base import (
     Turn,
     Vehicle,
 )
+from insdvl.navigation.prediction.strapdown import turn_rate
 from insdvl.navigation.start.automatic import UNKNOWN_SPEED
 from insdvl.navigation.state import State
-from insdvl.navigation.strapdown import turn_rate
 from insdvl.parameters.declaration import lever_arm, parameter, time_offset
 
 #: Most tilt, one sigma [rad], that an inflation takes for possible.

@@ -7,7 +7,7 @@ import numpy as np
 
 from insdvl.arrays import Array, Records
 from insdvl.kernels import kernel
-from insdvl.navigation import channels, coordinates, strapdown
+from insdvl.navigation import channels, coordinates
 from insdvl.navigation.error_state import (
     ACCELEROMETER_BIAS,
     ATTITUDE,
@@ -21,6 +21,7 @@ from insdvl.navigation.geometry.earth import gravity, move
 from insdvl.navigation.geometry.frames import rotation_from_rpy
 from insdvl.navigation.geometry.rotation import cross_matrix
 from insdvl.navigation.measurements.base import Block, Vehicle
+from insdvl.navigation.prediction import strapdown
 from insdvl.navigation.start import automatic, gyrocompass
 from insdvl.navigation.start.automatic import Automatic
 from insdvl.navigation.start.parameters import InitialParameters, OriginParameters

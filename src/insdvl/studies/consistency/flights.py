@@ -4,7 +4,6 @@ All runs of a case differ in their random numbers only, and two cases of the sam
 what they declare only: noise, biases and the unit normal numbers of the initial error are the same.
 """
 
-import gc
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -248,6 +247,7 @@ def folded(
     """
     pings = zip(mission.dvl_stamps_ns.tolist(), mission.v_d, strict=True)
     turns = zip(mission.heading_stamps_ns.tolist(), mission.attitude, strict=True)
+    second = round(RATE)
     result = fold_arrays(
         settings,
         mission.stamps_ns,
@@ -258,17 +258,14 @@ def folded(
             *(Heading(stamp_ns, C_n_b) for stamp_ns, C_n_b in turns),
             *events,
         ],
+        1 if from_start else second,
     )
-    second = round(RATE)
-    first = second - 1
+    states, at = result.states, slice(second - 1, None, second)
     if from_start:
-        first = int(np.argmax(result.states["nav"]["initialised"]))
-    at = slice(first, None, second)
-    states, filter_ = result.states[at].copy(), result.filter
+        at = slice(int(np.argmax(states["nav"]["initialised"])), None, second)
+        states = states[at].copy()
     truth = Truth(**{name: array[at] for name, array in vars(mission.truth).items()})
-    del result
-    gc.collect()  # a fold refers to itself, and its records take 0.3 MB per second
-    return Flown(filter_, states, truth, mission.bias[at])
+    return Flown(result.filter, states, truth, mission.bias[at])
 
 
 def flown(

@@ -13,7 +13,7 @@ from types import MappingProxyType
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from insdvl.arrays import Array, Records, Stamps
+from insdvl.arrays import Array, Stamps
 from insdvl.navigation.coordinates import body_velocity_jacobian, position_error
 from insdvl.navigation.error_state import ACCELEROMETER_BIAS, ATTITUDE, GYROSCOPE_BIAS, POSITION
 from insdvl.navigation.events import NS, Event, Initial, ProcessNoise
@@ -144,7 +144,9 @@ class Run:
             ProcessNoise(stamp_ns, np.diag(q[:3]), np.diag(q[3:]))
             for stamp_ns, q in zip(stamps_ns.tolist(), variances, strict=True)
         ]
-        return fold_arrays(parameters, m.stamps_ns, m.f_b, m.w_ib_b, self._events + received)
+        every = round(parameters.imu.rate) // _NEES_RATE
+        events = self._events + received
+        return fold_arrays(parameters, m.stamps_ns, m.f_b, m.w_ib_b, events, every)
 
     def learned(self, estimate: Estimator, window: int, rate: float) -> tuple[Stamps, Array]:
         """Output of a tuner with this estimator: stamps (K,) and variances (K, 6)."""
@@ -163,11 +165,11 @@ def track(C_n_b: Array, v_n: Array, p_o: Array) -> Track:
     return Track(C_n_b, np.einsum("kji,kj->ki", C_n_b, v_n), p_o)
 
 
-def track_of(states: Records) -> Track:
-    """The track of a filter's states (N,)."""
-    nav = states["nav"]
-    C_n_b, v_n = (np.ascontiguousarray(nav[name]) for name in ("C_n_b", "v_n"))
-    return track(C_n_b, v_n, position_in_odom(nav))
+def track_of(fold: FoldResult) -> Track:
+    """The track of a filter at all samples."""
+    kept = fold.track
+    C_n_b, v_n = (np.ascontiguousarray(kept[name]) for name in ("C_n_b", "v_n"))
+    return track(C_n_b, v_n, position_in_odom(kept))
 
 
 def perfect_heading(result: Track, truth: Track) -> Track:
@@ -197,17 +199,17 @@ def assess(fold: FoldResult, run: Run) -> tuple[Array, Array]:
     rate = fold.filter.parameters.imu.rate
     step = round(rate) // _NEES_RATE
     at = slice(step - 1, None, step)
-    seconds = slice(_NEES_RATE - 1, None, _NEES_RATE)  # among those samples
-    series = np.full((len(s[at][seconds]), len(SERIES)), np.nan)
-    result = track_of(s)
+    seconds = slice(_NEES_RATE - 1, None, _NEES_RATE)  # among those samples, whose states are kept
+    series = np.full((len(s[seconds]), len(SERIES)), np.nan)
+    result = track_of(fold)
     if failed(result, truth, rate):
         return _failure(), series
     values = _errors(result, truth)
 
-    P = fold.filter.covariance(fold.states)[at]
+    P = fold.filter.covariance(s)
     J = body_velocity_jacobian(
         result.C_n_b[at],
-        s["nav"]["v_n"][at],
+        s["nav"]["v_n"],
         invariant=fold.filter.vehicle.invariant,
         n=fold.filter.n,
     )
@@ -215,10 +217,10 @@ def assess(fold: FoldResult, run: Run) -> tuple[Array, Array]:
     P_va = J @ P @ np.swapaxes(J, 1, 2)
     dv = (truth.v_b - result.v_b)[at]
     psi = attitude_error(result.C_n_b[at], truth.C_n_b[at])
-    bias = m.bias[at] - np.hstack([s["nav"]["b_f"][at], s["nav"]["b_w"][at]])
+    bias = m.bias[at] - np.hstack([s["nav"]["b_f"], s["nav"]["b_w"]])
     biases = slice(ACCELEROMETER_BIAS.start, GYROSCOPE_BIAS.stop)
     dp = position_error(
-        s["nav"][at],
+        s["nav"],
         truth.C_n_b[at],
         m.truth.llh[at],
         invariant=fold.filter.vehicle.invariant,
@@ -289,7 +291,7 @@ def evaluate_run(shared: tuple[Study, Sequence[Approach]], number: int) -> dict[
         fold = run.fold(approach)
         assessed.append(assess(fold, run))
         if approach.q_source == ORACLE:
-            floors[1] = assess_track(perfect_heading(track_of(fold.states), truth), truth)
+            floors[1] = assess_track(perfect_heading(track_of(fold), truth), truth)
     return {
         "scores": np.array([values for values, _ in assessed]),
         "series": np.array([series for _, series in assessed]),
@@ -307,7 +309,7 @@ def tuning_run(shared: tuple[Study, Sequence[Approach]], number: int) -> dict[st
     run = Run(study, TUNING, number)
     rows = []
     for approach in approaches:
-        result, truth = track_of(run.fold(approach).states), run.truth
+        result, truth = track_of(run.fold(approach)), run.truth
         if failed(result, truth, approach.parameters.imu.rate):
             rows.append((np.inf, np.inf))
         else:

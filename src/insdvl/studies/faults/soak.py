@@ -21,6 +21,7 @@ from insdvl.navigation.filter import Filter
 from insdvl.navigation.geometry.frames import ENU, rpy_from_rotation
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
+from insdvl.navigation.prediction.kept import Kept
 from insdvl.navigation.state import State
 from insdvl.parameters.declaration import build, flatten
 from insdvl.simulation.initial_errors import P_0
@@ -187,14 +188,14 @@ def steps(parameters: FilterParameters, millions: int, seed: int) -> Iterator[He
     w_ib_b = np.array([0.02, -0.01, 0.3]) + rng.normal(0.0, 0.03, (chunk, 3))
     readings = np.hstack([f_b, w_ib_b])
     state = filter_.empty()
-    states = np.empty(chunk, state.dtype)
+    kept = Kept(chunk, state.dtype)
     filter_.await_start(state, Imu(0, f_b[0], w_ib_b[0]), readings[0])
     step_ns = round(NS / parameters.imu.rate)
     stamps_ns = np.arange(1, chunk + 1) * step_ns
     for _ in range(millions):
         health = Health()
         for _ in range(rounds):
-            filter_.predict_samples(state, stamps_ns, f_b, w_ib_b, readings, 0, chunk, states)
+            filter_.predict_samples(state, stamps_ns, f_b, w_ib_b, readings, 0, chunk, kept)
             v_d = rng.normal((1.0, 0.0, 0.0), 0.05)
             filter_.update(state, Dvl(int(stamps_ns[-1]), v_d), w_ib_b[-25:].mean(axis=0), 1 / 25)
             health = health.with_state(state[0], filter_.covariance(state)[0])

@@ -62,7 +62,7 @@ def window_run(shared: tuple[Study, Mapping[int, Model]], number: int) -> dict[s
 
 
 def _body_rmse(fold: FoldResult, run: Run) -> float:
-    return rmse(track_of(fold.states).v_b - run.truth.v_b)
+    return rmse(track_of(fold).v_b - run.truth.v_b)
 
 
 def _q_error(run: Run, stamps_ns: Stamps, variances: Array) -> float:

@@ -10,8 +10,8 @@ from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
 from insdvl.parameters.declaration import ParameterError
-from ros_insdvl.arguments import Help, answered, parameter_files
 from ros_insdvl.node import InsdvlNode
+from ros_insdvl.process.arguments import Help, answered, parameter_files
 
 
 def run_node(factory: Callable[[], InsdvlNode[Any]], help_: Help) -> int:

@@ -5,11 +5,16 @@ and what is not believed of them is replaced; the mechanisation moves the state,
 and the input noise its covariance.
 """
 
+import numpy as np
+from numpy.typing import NDArray
+
 from insdvl.arrays import Array, Records, Stamps
 from insdvl.kernels import kernel
-from insdvl.navigation import channels, error_state, strapdown
+from insdvl.navigation import channels, error_state
 from insdvl.navigation.error_state import ACCELEROMETER_BIAS, POSITION
 from insdvl.navigation.geometry.rotation import rotate
+from insdvl.navigation.prediction import strapdown
+from insdvl.navigation.prediction.kept import keep
 from insdvl.navigation.state import CORE, NEVER, Constants, State, Workspace
 
 # First elements of blocks, for the kernel.
@@ -146,11 +151,14 @@ def predict_samples(
     readings: Array,
     first: int,
     last: int,
+    every: int,
     states: Records,
+    track: Records,
+    verdicts: NDArray[np.int8],
 ) -> None:
-    """Advance a record over samples and keep each state, see `filter.Filter`."""
+    """Advance a record over samples and keep what `Kept` keeps, see `filter.Filter`."""
     s, w, c = state[0], workspace[0], constants[0]
     for k in range(first, last):
         _advance(s, w, c, stamps_ns[k], f_b[k], w_ib_b[k], readings[k], stamps_ns[k])
         _complete(s, c, stamps_ns[k], readings[k])
-        states[k] = s
+        keep(s, k, every, states, track, verdicts)

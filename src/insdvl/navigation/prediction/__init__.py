@@ -1,0 +1,1 @@
+"""A state record advances with samples of the IMU."""

@@ -1,0 +1,112 @@
+"""What is kept of every sample: a short record of where the vehicle is, and now and then all.
+
+A state record has several kilobytes. A recording of hours cannot keep one per sample; most who use
+its result need the track at every sample and the covariance a few times a second.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl.arrays import Records
+from insdvl.kernels import kernel
+from insdvl.navigation.state import State
+
+#: What is kept of every state; the fields are those of its group ``nav``.
+TRACK = np.dtype(
+    [
+        ("time_ns", "i8"),
+        ("initialised", "i8"),
+        ("lat_0", "f8"),
+        ("lon_0", "f8"),
+        ("h_0", "f8"),
+        ("C_n_b", "f8", (3, 3)),
+        ("v_n", "f8", (3,)),
+        ("llh", "f8", (3,)),
+    ],
+    align=True,
+)
+
+
+@kernel
+def keep(
+    s: State,
+    k: int,
+    every: int,
+    states: Records,
+    track: Records,
+    verdicts: NDArray[np.int8],
+) -> None:
+    """Keep the state at sample k, see `Kept`."""
+    nav, t = s.nav, track[k]
+    t.time_ns, t.initialised = nav.time_ns, nav.initialised
+    t.lat_0, t.lon_0, t.h_0 = nav.lat_0, nav.lon_0, nav.h_0
+    for i in range(3):
+        t.v_n[i], t.llh[i] = nav.v_n[i], nav.llh[i]
+        for j in range(3):
+            t.C_n_b[i, j] = nav.C_n_b[i, j]
+    for i in range(6):
+        verdicts[k, i] = s.channels.verdict[i]
+    if (k + 1) % every == 0:
+        states[k // every] = s
+
+
+@kernel
+def _keep(
+    state: Records,
+    k: int,
+    every: int,
+    states: Records,
+    track: Records,
+    verdicts: NDArray[np.int8],
+) -> None:
+    keep(state[0], k, every, states, track, verdicts)
+
+
+class Kept:
+    """What is kept of the states at N samples.
+
+    Args:
+        size: Number of samples to make room for.
+        dtype: Of a state record.
+        every: Of so many samples the whole state of the last one is kept.
+
+    Attributes:
+        states: (N // every,) state records; the one of sample k is at ``k // every``.
+        track: (N,) records of `TRACK`.
+        verdicts: (N, 6) on the channels of the samples, see channels.py.
+    """
+
+    def __init__(self, size: int, dtype: "np.dtype[np.void]", every: int = 1) -> None:
+        self.every = every
+        self.states: Records = np.empty(size // every, dtype)
+        self.track: Records = np.empty(size, TRACK)
+        self.verdicts: NDArray[np.int8] = np.empty((size, 6), np.int8)
+
+    def put(self, state: Records, k: int) -> None:
+        """Keep the state (1,) at sample k."""
+        _keep(state, k, self.every, self.states, self.track, self.verdicts)
+
+    def before(self, k: int) -> int:
+        """The last sample before k behind which the state is kept, and -1 for none."""
+        return k - k % self.every - 1
+
+    def at(self, k: int) -> State:
+        """The state that is kept at sample k."""
+        return self.states[k // self.every]
+
+    def drop(self, count: int, size: int) -> None:
+        """Forget the first samples of so many; `count` is a multiple of `every`."""
+        for array, first, last in (
+            (self.track, count, size),
+            (self.verdicts, count, size),
+            (self.states, count // self.every, size // self.every),
+        ):
+            array[: last - first] = array[first:last].copy()
+
+    def grow(self, size: int) -> None:
+        """Make room for so many samples."""
+        larger = Kept(size, self.states.dtype, self.every)
+        larger.states[: len(self.states)] = self.states
+        larger.track[: len(self.track)] = self.track
+        larger.verdicts[: len(self.verdicts)] = self.verdicts
+        self.states, self.track, self.verdicts = larger.states, larger.track, larger.verdicts
