@@ -114,7 +114,6 @@ def test_the_estimate_is_in_map_and_seen_through_map_to_odom(
         raws,
         initial__mode="parameters",
         initial__rpy=(roll, pitch, yaw + 0.4),
-        initial__attitude_std=(0.01, 0.01, 0.5),
         initial__velocity=(velocity.x, velocity.y, velocity.z),
         heading__topic=HEADING,
         publish_tf=True,
