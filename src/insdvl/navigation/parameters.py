@@ -4,6 +4,7 @@ import dataclasses
 import typing
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -18,7 +19,12 @@ from insdvl.navigation.measurements.dvl import DvlParameters
 from insdvl.navigation.measurements.heading import HeadingParameters
 from insdvl.navigation.process_noise.parameters import ProcessNoiseParameters
 from insdvl.navigation.start.parameters import InitialParameters, OriginParameters
-from insdvl.parameters.declaration import ParameterError, check_frames, parameter
+from insdvl.parameters.declaration import (
+    ParameterError,
+    check_all,
+    check_frames,
+    parameter,
+)
 
 _GRAVITY = 9.9  # m/s^2, more than anywhere on the Earth
 
@@ -114,23 +120,42 @@ class FilterParameters:
     origin: OriginParameters = field(default_factory=OriginParameters)
 
     def __post_init__(self) -> None:
+        check_all(
+            self._check_output_delay,
+            self._check_jump_limit,
+            self._check_state_period,
+            self._check_time_offsets,
+            self._check_imu,
+            self._check_earth_rate,
+            partial(check_frames, self.odom_frame, self.base_frame),
+            self._check_start,
+            self._check_limits,
+        )
+
+    def _check_output_delay(self) -> None:
         if self.output_delay > self.max_delay:
             raise ParameterError(
                 f"parameter 'output_delay' must be at most max_delay ({self.max_delay:g} s), "
                 f"got {self.output_delay!r}"
             )
+
+    def _check_jump_limit(self) -> None:
         for name, value in (("max_delay", self.max_delay), ("imu.max_gap", self.imu.max_gap)):
             if self.jump_limit < value:
                 raise ParameterError(
                     f"parameter 'jump_limit' must be at least {name} ({value:g} s), "
                     f"got {self.jump_limit!r}"
                 )
+
+    def _check_state_period(self) -> None:
         if self.state_file and self.state_period > self.jump_limit:
             raise ParameterError(
                 f"parameter 'state_period' must be at most jump_limit ({self.jump_limit:g} s) "
                 f"where there is a state_file, got {self.state_period!r}: before it "
                 "is written again the state would be too old to go on from"
             )
+
+    def _check_time_offsets(self) -> None:
         earliest = self.imu.time_offset - self.max_delay
         for sensor in ("dvl", "heading"):
             if (offset := getattr(self, sensor).time_offset) < earliest:
@@ -139,6 +164,8 @@ class FilterParameters:
                     f"max_delay ({earliest:g} s), got {offset!r}: every measurement would be too "
                     "late"
                 )
+
+    def _check_imu(self) -> None:
         interval = 1.0 / self.imu.rate
         if self.imu.max_gap <= interval:
             raise ParameterError(
@@ -150,6 +177,8 @@ class FilterParameters:
                 f"parameter 'imu.acceleration_range' must be 0 or more than gravity ({_GRAVITY} "
                 f"m/s^2), got {self.imu.acceleration_range!r}: it would be saturated at rest"
             )
+
+    def _check_earth_rate(self) -> None:
         asked = {"mode": "gyrocompassing", "heading": "gyrocompass"}
         for name, value in asked.items():
             if getattr(self.initial, name) == value and not self.earth_rate:
@@ -157,9 +186,6 @@ class FilterParameters:
                     f"parameter 'initial.{name}' must not be '{value}' where earth_rate is false: "
                     "it finds the heading from the rotation of the Earth"
                 )
-        check_frames(self.odom_frame, self.base_frame)
-        self._check_start()
-        self._check_limits()
 
     def _check_start(self) -> None:
         """The start must be a place at which the filter navigates, where the parameters tell it."""

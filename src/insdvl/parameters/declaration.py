@@ -13,7 +13,7 @@ import dataclasses
 import difflib
 import math
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, TypeVar
@@ -204,6 +204,22 @@ class Declaration:
         return ParameterError(
             f"parameter '{self.name}' must be {self.range_text or 'finite'}, got {shown(value)}"
         )
+
+
+def check_all(*checks: Callable[[], None]) -> None:
+    """Make checks of which each may refuse.
+
+    Raises:
+        ParameterError: Some do; a line for each.
+    """
+    found = []
+    for check in checks:
+        try:
+            check()
+        except ParameterError as error:
+            found.append(str(error))
+    if found:
+        raise ParameterError("\n".join(found))
 
 
 def check_frames(odom: str, base: str) -> None:

@@ -83,6 +83,15 @@ def test_contradictions_in_several_groups_are_told_at_once() -> None:
         build(FilterParameters, values)
 
 
+def test_contradictions_of_one_group_are_told_at_once() -> None:
+    values = {"output_delay": 3.0, "imu.max_gap": 0.001, "base_frame": "odom"}
+    with pytest.raises(ParameterError) as error:
+        build(FilterParameters, values)
+    lines = str(error.value).splitlines()
+    for line, name in zip(lines, ("'output_delay'", "'imu.max_gap'", "'base_frame'"), strict=True):
+        assert name in line
+
+
 def test_a_running_group_changes_only_where_it_may() -> None:
     assert changed(Group(), {"inner.same": 2}) == Group(inner=Inner(same=(2.0, 2.0)))
     with pytest.raises(ParameterError, match="'on' is read-only\nparameter 'count' is read-only"):
