@@ -149,7 +149,7 @@ def test_parameters_are_fixed_while_the_node_runs(
 ) -> None:
     for name, value, before in (
         ("imu.rate", {"type": ParameterType.PARAMETER_DOUBLE, "double_value": 50.0}, 100.0),
-        ("gate.enabled", {"type": ParameterType.PARAMETER_BOOL, "bool_value": False}, True),
+        ("earth_rate", {"type": ParameterType.PARAMETER_BOOL, "bool_value": False}, True),
         ("imu.rate", {"type": ParameterType.PARAMETER_STRING, "string_value": "x"}, 100.0),
         ("imu.rate", {"type": ParameterType.PARAMETER_NOT_SET}, 100.0),
     ):

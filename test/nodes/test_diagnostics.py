@@ -323,7 +323,7 @@ def test_recoveries_are_told_with_the_measurement_that_they_are_of() -> None:
     f = Filter(**{"depth.topic": "depth"})
     f.samples(1, 21)
     assert f.look()["dvl"].level == OK
-    state = f.fold._samples.states[f.fold._samples.count - 1]
+    state = f.fold._samples.kept.at(f.fold._samples.count - 1)
     state["gate"]["depth"]["inflations"] += 2
     state["gate"]["dvl"]["restarts"] += 1
     statuses = f.look()

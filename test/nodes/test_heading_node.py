@@ -41,12 +41,12 @@ class HeadingGraph(Graph):
             **{"heading.topic": topic, "heading.interval": 0.0, **parameters},
         )
         self.innovations = self.keep(TwistWithCovarianceStamped, "heading/innovation")
-        self.odometry = self.keep(Odometry, "odometry/filtered")
+        self.odometry = self.keep(Odometry, "odometry/global")
         self.until(
             lambda: (
                 all(p.get_subscription_count() for p in self.publishers.values())
                 and self.filter.outputs["heading/innovation"].listeners
-                and self.filter.outputs["odometry/filtered"].listeners
+                and self.filter.outputs["odometry/global"].listeners
             )
         )
 

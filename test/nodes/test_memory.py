@@ -8,6 +8,7 @@ from typing import Any
 
 from insdvl.navigation.parameters import FilterParameters
 from ros_insdvl.node import InsdvlNode
+from ros_insdvl.process.arguments import Help
 from ros_insdvl.process.execution import run_node
 
 WARM, TURNS = 200, 2000
@@ -45,4 +46,4 @@ def test_turns_leave_nothing_behind() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(run_node(Ticking))
+    sys.exit(run_node(Ticking, Help("none", "ticking", "/ticking", "", ())))

@@ -18,6 +18,7 @@ from sensor_msgs.msg import Imu
 
 from insdvl.tuner.parameters import TunerParameters
 from ros_insdvl.node import InsdvlNode
+from ros_insdvl.process.arguments import Help
 from ros_insdvl.process.execution import run_node
 from ros_insdvl.status.heard import ERROR, OK, HeardStatus
 from ros_insdvl.status.unexpected import UNEXPECTED
@@ -124,4 +125,4 @@ def test_an_executor_of_a_test_raises(peer: Peer) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(run_node(Raising))
+    sys.exit(run_node(Raising, Help("none", "raising", "/raising", "", ())))
