@@ -23,6 +23,7 @@ from std_srvs.srv import Trigger
 from told import TOLD
 
 from insdvl.messages import convert
+from insdvl.messages.dvl import dvl
 from insdvl.navigation.events import NS, Event
 from insdvl.navigation.geometry.frames import ENU
 from insdvl.navigation.odometry import odometry
@@ -99,9 +100,7 @@ def mission(duration: float) -> list[tuple[str, Any]]:
 def offline(sent: list[tuple[str, Any]], changes: list[tuple[int, dict[str, Any]]]) -> list[Any]:
     """Odometry at every IMU stamp, by the filter without ROS, with changes at stamps."""
     parameters = build(FilterParameters, TOLD)
-    events: list[Event] = [
-        convert.dvl(message, ENU) for topic, message in sent if topic == "dvl/velocity"
-    ]
+    events: list[Event] = [dvl(message, ENU) for topic, message in sent if topic == "dvl/velocity"]
     now = parameters
     for number, (stamp_ns, values) in enumerate(changes):
         now = changed(now, values)
