@@ -56,8 +56,9 @@ HELP = Help(
     about="""
 The filter of the INS/DVL navigation: IMU and DVL in, odometry out.
 
-subscribes  imu/data_raw, dvl/velocity or dvl/velocity_cov, process_noise, set_odometry, gps/fix,
-            and the topics that parameters name, such as depth.topic and heading.topic
+subscribes  imu/data_raw, dvl/velocity (of any type that dvl.type allows), dvl/velocity_cov,
+            process_noise, set_odometry, gps/fix, and topics that parameters name, such as
+            depth.topic and heading.topic
 publishes   odometry/filtered, imu/bias, gps/filtered, dvl/innovation, /diagnostics; with a
             heading sensor odometry/global; with publish_tf /tf
 services    ~/reset (std_srvs/Trigger): start again as initial.mode says

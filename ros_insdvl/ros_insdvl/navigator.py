@@ -10,8 +10,10 @@ from collections.abc import Iterator
 from typing import Any
 
 from insdvl.messages.topics import IMU, PROCESS_NOISE
+from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import ParameterError
 from insdvl.tuner.models import ModelError
+from insdvl.tuner.parameters import TunerParameters
 from ros_insdvl.filter import FilterNode
 from ros_insdvl.node import InsdvlNode
 from ros_insdvl.process.arguments import Help
@@ -31,7 +33,7 @@ The filter uses what the tuner learns with process_noise.source 'external'.
 """,
     examples=(
         "--params-file vehicle.yaml",
-        "-p insdvl_filter:process_noise.source:=external -p insdvl_tuner:rate:=2.0",
+        "-p process_noise.source:=external -p rate:=2.0",
     ),
 )
 
@@ -46,9 +48,9 @@ def navigator_nodes(**options: Any) -> Iterator[InsdvlNode[Any]]:
         ModelError: The tuner's model cannot be used.
         ParameterError: A parameter is wrong, or both nodes have one name.
     """
-    filter_node = FilterNode(**options)
+    filter_node = FilterNode(**options, others=[TunerParameters])
     yield filter_node
-    tuner = TunerNode(**options)
+    tuner = TunerNode(**options, others=[FilterParameters])
     yield tuner
     name = filter_node.get_fully_qualified_name()
     if name == tuner.get_fully_qualified_name():

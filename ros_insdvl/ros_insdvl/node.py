@@ -4,7 +4,7 @@ import sys
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import AbstractContextManager
 from functools import partial
 from typing import Any, Generic, TypeVar
@@ -48,12 +48,20 @@ class InsdvlNode(Node, Generic[_Group]):
     #: Inputs that have one publisher; a second one is worth a warning.
     single_inputs: tuple[str, ...] = ()
 
-    def __init__(self, name: str, group: type[_Group], **options: Any) -> None:
+    def __init__(
+        self,
+        name: str,
+        group: type[_Group],
+        *,
+        others: Collection[type[Any]] = (),
+        **options: Any,
+    ) -> None:
         """Declare the parameters, before anything is published.
 
         Args:
             name: Name of the node.
             group: Its parameters, a dataclass (see `insdvl.parameters`).
+            others: Those of the other nodes in the process.
             options: Of `rclpy.node.Node`, such as ``namespace`` and ``parameter_overrides``.
 
         Raises:
@@ -63,7 +71,7 @@ class InsdvlNode(Node, Generic[_Group]):
         files = parameter_files([*ours, *(options.get("cli_args") or [])])
         super().__init__(name, **options)
         try:
-            self.parameters = declare(self, group, files)
+            self.parameters = declare(self, group, files, others)
         except ParameterError:
             self.destroy_node()
             raise

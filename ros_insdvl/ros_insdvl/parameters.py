@@ -1,7 +1,7 @@
 """A parameter group of the core as the declared parameters of a ROS 2 node."""
 
 from array import array
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
@@ -38,7 +38,12 @@ _QOS_VALUES = {
 }
 
 
-def declare(node: Node, group: type[_Group], files: Sequence[ParameterFile]) -> _Group:
+def declare(
+    node: Node,
+    group: type[_Group],
+    files: Sequence[ParameterFile],
+    others: Collection[type[Any]] = (),
+) -> _Group:
     """Declare every parameter of a group on a node, and return the group with the node's values.
 
     Unknown parameters in a section for nodes of any name are ignored; the log says so, and of which
@@ -48,6 +53,7 @@ def declare(node: Node, group: type[_Group], files: Sequence[ParameterFile]) -> 
         node: The node, before it has publishers.
         group: A dataclass of parameters (see `insdvl.parameters`).
         files: The parameter files and arguments that the node was given.
+        others: Groups of the other nodes in the process.
 
     Raises:
         ParameterError: Overrides have unknown names, wrong types or are out of range, or the values
@@ -64,7 +70,8 @@ def declare(node: Node, group: type[_Group], files: Sequence[ParameterFile]) -> 
             is_set = override.type_ != Parameter.Type.NOT_SET
             overrides[override.name] = plain(override.value) if is_set else []
     try:
-        loaded = load(files, name, group, overrides)
+        theirs = {declaration.name for other in others for declaration in declarations(other)}
+        loaded = load(files, name, group, overrides, theirs)
     except ParameterError as error:
         faults.append(str(error))
     if faults:

@@ -17,6 +17,7 @@ from ros_insdvl.process.arguments import split
 
 NODES = {
     "ros_insdvl.filter": "insdvl_filter",
+    "ros_insdvl.navigator": "insdvl_filter",
     "ros_insdvl.tuner": "insdvl_tuner",
     "ros_insdvl.monitor": "insdvl_monitor",
     "ros_insdvl_sim.simulator": "insdvl_simulator",
@@ -68,10 +69,11 @@ def test_help_of_a_node(run: Any, module: str, capsys: pytest.CaptureFixture[str
     assert f"ros2 run {package} {executable} --ros-args " in text
     assert f"ros2 param describe /{NODES[module]} NAME" in text
     assert "docs/reference/parameters.md" in text
-    assert "/diagnostics" in text
+    assert "docs/reference/diagnostics.md" in text
     assert max(map(len, text.splitlines())) <= 100
     examples = re.findall(r"-p '?([\w.]+):=", text.partition("examples")[2])
-    assert set(examples) <= {d.name for d in declarations(SECTIONS[NODES[module]])}
+    nodes = ("insdvl_filter", "insdvl_tuner") if "navigator" in module else (NODES[module],)
+    assert set(examples) <= {d.name for node in nodes for d in declarations(SECTIONS[node])}
 
 
 @pytest.mark.parametrize("module", NODES)

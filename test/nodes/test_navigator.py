@@ -232,3 +232,12 @@ def test_one_name_for_both_is_refused(managed: Any, tmp_path: Path) -> None:
     vehicle = managed(Vehicle("/renamed"))
     with pytest.raises(ParameterError, match="both nodes are named /renamed/nav: rename one"):
         vehicle.make_joined(tmp_path, cli=("-r", "__node:=nav"))
+
+
+def test_an_argument_for_all_reaches_the_node_that_knows_it(managed: Any, tmp_path: Path) -> None:
+    vehicle = managed(Vehicle("/general"))
+    vehicle.make_joined(tmp_path, cli=("-p", "enabled:=false", "-p", "gate.enabled:=false"))
+    assert not vehicle.filter.parameters.gate.enabled
+    assert not vehicle.tuner.parameters.enabled
+    with pytest.raises(ParameterError, match=r"unknown parameter 'gate\.enbled'"):
+        vehicle.make_joined(tmp_path, cli=("-p", "gate.enbled:=false"))

@@ -60,9 +60,9 @@ class Given:
         return f"{self.path}, line {self.line}, section '{self.section}'"
 
     @property
-    def is_shared(self) -> bool:
-        """Whether the section is for nodes of any name: the last part of its name is a wildcard."""
-        return not self.is_argument and self.section.endswith("*")
+    def is_for_all(self) -> bool:
+        """Whether it is for nodes of any name: the last part of the section is a wildcard."""
+        return self.section.endswith("*")
 
 
 @dataclass(frozen=True)

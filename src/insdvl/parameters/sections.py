@@ -90,6 +90,7 @@ def load(
     node: str,
     group: type[_Group],
     values: Mapping[str, Any] | None = None,
+    others: Collection[str] = (),
 ) -> Loaded[_Group]:
     """The parameters of a node.
 
@@ -99,6 +100,8 @@ def load(
         group: Dataclass of its parameters.
         values: What the node was given, where that is known; by default what rcl makes of the files
             (see `files.effective`). A value that stands in no file has no place in a message.
+        others: Names that other nodes of the process know: to all nodes, as -p NAME:=VALUE, such a
+            value may be given.
 
     Raises:
         ParameterError: Values are refused; a line for each fault, with the place of the value.
@@ -108,9 +111,14 @@ def load(
         values = {name: given.value for name, given in places.items()}
     values = {name: value for name, value in values.items() if not is_ros_name(name)}
     known = {declaration.name for declaration in declarations(group)}
-    own = {g.name for f in files for g in f.given if not g.is_shared and matches(g.section, node)}
-    ignored = [n for n in values if n not in known and n in places and n not in own]
-    values = {name: value for name, value in values.items() if name not in ignored}
+    unknown = [name for name in values if name not in known and name in places]
+    given = [g for file in files for g in file.given if matches(g.section, node)]
+    own = {g.name for g in given if not g.is_for_all}
+    of_others = [name for name in unknown if name in others and name not in own]
+    own |= {g.name for g in given if g.is_argument}
+    ignored = [name for name in unknown if name not in own and name not in of_others]
+    left_out = {*ignored, *of_others}
+    values = {name: value for name, value in values.items() if name not in left_out}
     found = [
         f"{second.place}: parameter '{first.name}' is given again, first in line {first.line}"
         for first, second in repeated(files, node)

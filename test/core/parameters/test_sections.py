@@ -241,13 +241,26 @@ def test_an_argument_is_a_file_of_one_value(rule: str, section: str, name: str, 
     (given,) = argument(rule).given
     assert (given.section, given.name, given.value) == (section, name, value)
     assert given.is_argument
-    assert not given.is_shared
+    assert given.is_for_all is (section == "/**")
 
 
 @pytest.mark.parametrize("rule", ["imu.rate", ":=1", "a:=", "a:=[1, 2.5]", "a:={b: 1}"])
 def test_an_argument_that_is_none_is_named(rule: str) -> None:
     with pytest.raises(ParameterError, match="-p"):
         argument(rule)
+
+
+def test_an_argument_for_all_may_be_for_another_node_of_the_process() -> None:
+    """Such as the tuner's rate, where filter and tuner share a process."""
+    general = argument("rate:=2.0")
+    with pytest.raises(ParameterError, match="unknown parameter 'rate'"):
+        load([general], "/insdvl_filter", FilterParameters)
+    found = load([general], "/insdvl_filter", FilterParameters, others=("rate",))
+    assert (found.parameters, found.ignored) == (FilterParameters(), ())
+    assert load([general], "/insdvl_tuner", TunerParameters).parameters.rate == 2.0
+    own = argument("insdvl_filter:rate:=2.0")
+    with pytest.raises(ParameterError, match="unknown parameter 'rate'"):
+        load([own], "/insdvl_filter", FilterParameters, others=("rate",))
 
 
 def test_an_argument_loses_against_a_section_that_appears_after_its_own(tmp_path: Path) -> None:
