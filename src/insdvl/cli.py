@@ -1,57 +1,63 @@
-"""The command `insdvl`, with each subcommand in a module of its own."""
+"""The command `insdvl`."""
 
-import argparse
+import os
 import sys
 from collections.abc import Sequence
-from importlib import import_module
 from importlib.metadata import version
+from pkgutil import resolve_name
 
+from insdvl.commands import (
+    COMMANDS,
+    INTERRUPTED,
+    WRONG_CALL,
+    nearest,
+    overview,
+    parser_of,
+    summary,
+)
 from insdvl.extras import MissingPackageError
-
-#: Module and meaning of each subcommand. A module has add_arguments(parser) and run(arguments) ->
-#: exit code; only the module of the given subcommand is imported.
-COMMANDS = {
-    "train": (
-        "insdvl.studies.training.command",
-        "train a process noise model on simulations",
-    ),
-    "replay": ("insdvl.studies.replay.command", "run the filter over a rosbag2 recording"),
-    "evaluate": (
-        "insdvl.studies.evaluation.command",
-        "compare sources of process noise on simulations",
-    ),
-    "results": ("insdvl.studies.results.command", "recompute the results page"),
-    "consistency": (
-        "insdvl.studies.consistency.command",
-        "recompute the page on consistency: is the filter as good as it says?",
-    ),
-    "warm": ("insdvl.studies.warm", "compile all functions and cache them, for the first start"),
-}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; the exit code is 0, or 2 if the input is refused, or 1 on other failures."""
-    given = sys.argv[1:] if arguments is None else list(arguments)
-    parser = argparse.ArgumentParser(prog="insdvl", description="INS/DVL navigation without ROS.")
-    parser.add_argument("--version", action="store_true", help="print the version and exit")
-    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND")
-    asked = next((word for word in given if not word.startswith("-")), None)
-    for name, (module, meaning) in COMMANDS.items():
-        subparser = subparsers.add_parser(name, help=meaning, description=meaning)
-        if name == asked:
-            try:
-                command = import_module(module)
-            except MissingPackageError as error:
-                print(f"insdvl {name}: {error}", file=sys.stderr)
-                return 2
-            command.add_arguments(subparser)
-    parsed = parser.parse_args(given)
-    if parsed.version:
+    """Run the command; `Command.exit_codes` says what the exit code means."""
+    name, *rest = (sys.argv[1:] if arguments is None else list(arguments)) or [""]
+    if not name:
+        print(overview())
+    elif name in ("-h", "--help"):
+        print(summary())
+    elif name == "--version":
         print(f"insdvl {version('insdvl')}")
+    elif name not in COMMANDS:
+        what = "option" if name.startswith("-") else "command"
+        print(
+            f"insdvl: unknown {what} {name!r}{nearest(name, COMMANDS)}\n"
+            f"The commands are {', '.join(COMMANDS)}.",
+            file=sys.stderr,
+        )
+        return WRONG_CALL
+    else:
+        return _run(name, rest)
+    return 0
+
+
+def _run(name: str, words: list[str]) -> int:
+    """Parse the arguments of a command, then import and run it."""
+    command = COMMANDS[name]
+    try:
+        parsed = parser_of(name).parse_args(words)
+        code = int(resolve_name(command.run)(parsed))
+        sys.stdout.flush()
+        return code
+    except MissingPackageError as error:
+        print(f"insdvl {name}: {error}", file=sys.stderr)
+        return WRONG_CALL
+    except BrokenPipeError:  # the reader, such as head, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    if parsed.command is None:
-        parser.error(f"no command given; choose from {', '.join(COMMANDS)}")
-    return int(command.run(parsed))
+    except KeyboardInterrupt:
+        kept = f"; {command.kept}" if command.kept else ""
+        print(f"insdvl {name}: interrupted{kept}", file=sys.stderr)
+        return INTERRUPTED
 
 
 if __name__ == "__main__":

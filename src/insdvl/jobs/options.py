@@ -1,15 +1,14 @@
-"""Where long computations run: the backend, the number of workers, and the options for both."""
+"""Where long computations run: the backend and the number of workers."""
 
 import argparse
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 
 from insdvl.extras import extra
+from insdvl.jobs.arguments import BACKENDS
 
 with extra("jobs"):
     import joblib
-
-BACKENDS = ("loky", "dask")
 
 
 class WorkersError(ValueError):
@@ -48,27 +47,6 @@ class Workers:
             )
         if self.backend == "dask" and find_spec("distributed") is None:
             raise WorkersError("--backend dask needs the optional packages: install insdvl[dask]")
-
-
-def add_worker_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the worker options of every long command."""
-    parser.add_argument(
-        "--jobs",
-        type=int,
-        metavar="N",
-        help="number of processes; results do not depend on it (default: all cores)",
-    )
-    parser.add_argument(
-        "--backend",
-        default=BACKENDS[0],
-        choices=BACKENDS,
-        help="loky: processes on this machine (default); dask: a Dask cluster, local or existing",
-    )
-    parser.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="address of an existing Dask cluster; its workers need the same insdvl",
-    )
 
 
 def workers_from(arguments: argparse.Namespace) -> Workers:

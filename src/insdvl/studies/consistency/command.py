@@ -7,45 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from insdvl.files import check_writable, json_text, read_parts, write
-from insdvl.jobs.options import add_worker_options, workers_from
+from insdvl.jobs.options import workers_from
 from insdvl.jobs.pool import Pool, TaskError, open_pool
 from insdvl.jobs.store import Store, environment
+from insdvl.studies.consistency.arguments import NAME, QUICK_RUNS, RUNS
 from insdvl.studies.consistency.page import STUDIES, consistency_page
 from insdvl.studies.consistency.study import Extent, Study
 from insdvl.studies.evaluation.comparison import MIN_RUNS
 from insdvl.studies.evaluation.options import check_names
-
-NAME = "consistency"
-_RUNS, _QUICK_RUNS = 100, 4
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's options."""
-    names = ", ".join(study.name for study in STUDIES)
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("docs", "results"),
-        metavar="DIR",
-        help=f"folder of {NAME}.md and {NAME}.json (default: ./docs/results)",
-    )
-    parser.add_argument(
-        "--studies",
-        metavar="NAME,NAME",
-        help="studies to compute, separated by commas, or 'none' to write the page only (default: "
-        f"all): {names}; the numbers of the others are kept",
-    )
-    parser.add_argument(
-        "--runs",
-        type=int,
-        metavar="N",
-        help=f"number of runs of each row (default: {_RUNS}, or {_QUICK_RUNS} with --quick)",
-    )
-    parser.add_argument(
-        "--quick", action="store_true", help="leave out rows that another one resembles"
-    )
-    parser.add_argument("--seed", type=int, default=1, help="random seed (default: 1)")
-    add_worker_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -76,7 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _asked(arguments: argparse.Namespace) -> tuple[Extent, list[Study]]:
     runs = arguments.runs
     if runs is None:
-        runs = _QUICK_RUNS if arguments.quick else _RUNS
+        runs = QUICK_RUNS if arguments.quick else RUNS
     if runs < MIN_RUNS:
         raise ValueError(f"--runs must be >= {MIN_RUNS}, got {runs}")
     if arguments.seed < 0:

@@ -6,84 +6,18 @@ from dataclasses import asdict
 from pathlib import Path
 
 from insdvl.files import check_writable, json_text, write
-from insdvl.jobs.options import add_worker_options, workers_from
+from insdvl.jobs.options import workers_from
 from insdvl.jobs.pool import TaskError, open_pool
 from insdvl.jobs.store import Store
 from insdvl.simulation.noise import SCENARIOS
 from insdvl.simulation.trajectories import AUV
 from insdvl.studies.evaluation import comparison, tables
 from insdvl.studies.evaluation.approaches import OWN_MODEL, PRESETS, ROWS, Setting, fingerprint
+from insdvl.studies.evaluation.arguments import ERROR_STATES
 from insdvl.studies.evaluation.comparison import Plan, compare
 from insdvl.studies.evaluation.options import check_names, check_numbers
 from insdvl.studies.report.plots import draw_errors_over_time
 from insdvl.tuner.models import load_model
-
-ERROR_STATES = ("invariant", "ned")
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's options."""
-    parser.add_argument(
-        "--scenario",
-        default="varying",
-        metavar="NAME",
-        help=f"noise of the IMU: {', '.join(SCENARIOS)} (default: varying)",
-    )
-    parser.add_argument(
-        "--preset",
-        default="calibrated",
-        metavar="NAME",
-        help=f"parameters of the filters: {', '.join(PRESETS)} (default: calibrated)",
-    )
-    parser.add_argument(
-        "--error-state",
-        default="",
-        metavar="NAME",
-        help=f"{' or '.join(ERROR_STATES)} (default: that of the preset)",
-    )
-    parser.add_argument("--gate", action="store_true", help="use the chi-square gate")
-    parser.add_argument(
-        "--rows",
-        metavar="NAME,NAME",
-        help=f"approaches to compare, separated by commas (default: all): {', '.join(ROWS)}",
-    )
-    parser.add_argument(
-        "--model",
-        metavar="FILE",
-        help="also evaluate your own model (card next to the file)",
-    )
-    parser.add_argument(
-        "--runs", type=int, default=100, metavar="N", help="number of paired runs (default: 100)"
-    )
-    parser.add_argument(
-        "--tuning-runs",
-        type=int,
-        default=20,
-        metavar="N",
-        help="number of runs, with other seeds, that choose the best constant and the best "
-        "adaptive filters (default: 20)",
-    )
-    parser.add_argument("--seed", type=int, default=1, help="random seed (default: 1)")
-    parser.add_argument(
-        "--duration",
-        type=float,
-        metavar="S",
-        help=f"length of the missions (default: {AUV.duration:g})",
-    )
-    parser.add_argument("--json", type=Path, required=True, metavar="FILE", help="JSON output file")
-    parser.add_argument(
-        "--markdown",
-        type=Path,
-        metavar="FILE",
-        help="Markdown output file of the tables",
-    )
-    parser.add_argument(
-        "--plot",
-        type=Path,
-        metavar="FILE",
-        help="PNG output file of errors over time",
-    )
-    add_worker_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:

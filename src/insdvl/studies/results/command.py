@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from insdvl.files import check_writable, json_text, read_parts, write
-from insdvl.jobs.options import add_worker_options, workers_from
+from insdvl.jobs.options import workers_from
 from insdvl.jobs.pool import Pool, TaskError, open_pool
 from insdvl.jobs.store import Store, environment
 from insdvl.simulation.noise import SCENARIOS
@@ -52,44 +52,6 @@ ACCURACY, WINDOW, VEHICLE = "q-accuracy", "window", "vehicle"
 PARTS = (ACCURACY, *PLANS, WINDOW, VEHICLE)
 _WINDOW_RUNS = 10
 _RECORDING_RUNS, _RECORDING_TUNING_RUNS = 10, 3  # for each recording and injection
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's options."""
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("docs"),
-        metavar="DIR",
-        help="output folder (default: ./docs)",
-    )
-    parser.add_argument(
-        "--parts",
-        metavar="NAME,NAME",
-        help="parts to compute, separated by commas, or 'none' to write the page only (default: "
-        f"all): {', '.join(PARTS)}",
-    )
-    parser.add_argument(
-        "--recordings", type=Path, metavar="DIR", help=f"folder of rosbag2 recordings for {VEHICLE}"
-    )
-    parser.add_argument(
-        "--config", type=Path, metavar="FILE", help=f"YAML file of the recordings for {VEHICLE}"
-    )
-    parser.add_argument(
-        "--runs",
-        type=int,
-        metavar="N",
-        help="number of runs of each comparison (default: 100)",
-    )
-    parser.add_argument(
-        "--tuning-runs",
-        type=int,
-        default=5,
-        metavar="N",
-        help="number of runs of a search (default: 5)",
-    )
-    parser.add_argument("--seed", type=int, default=1, help="random seed (default: 1)")
-    add_worker_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -8,7 +8,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
-from insdvl.jobs.options import Workers, WorkersError, add_worker_options, workers_from
+from insdvl.jobs.options import Workers, WorkersError, workers_from
 from insdvl.jobs.pool import TaskError, open_pool
 from insdvl.jobs.store import Store
 from insdvl.studies.training import dataset
@@ -40,38 +40,6 @@ _NETWORK = Preset(
 PRESETS = {"default": _TREES, "paper": _TREES, "dnn": _NETWORK, "dnn-default": _NETWORK}
 
 MAX_SEED = 2**32 - 1  # scikit-learn's largest
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's options."""
-    parser.add_argument(
-        "--preset",
-        default="default",
-        choices=tuple(PRESETS),
-        help="model to train; default: trees for any scale; paper: trees as published; "
-        "dnn-default, dnn: the same with a convolutional network",
-    )
-    parser.add_argument(
-        "--window",
-        type=int,
-        default=dataset.WINDOW,
-        metavar="N",
-        help="samples of a window; other than 200, the model is named PRESET-N (default: 200)",
-    )
-    parser.add_argument(
-        "--seed",
-        type=int,
-        default=0,
-        help="random seed of data set, split and training (default: 0)",
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("models"),
-        metavar="DIR",
-        help="output folder of model and card (default: ./models)",
-    )
-    add_worker_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -1,0 +1,45 @@
+"""The arguments of `insdvl consistency`."""
+
+import argparse
+from pathlib import Path
+
+from insdvl.commands import examples
+from insdvl.jobs.arguments import add_worker_options
+
+#: The names of the studies in page.py; a test holds that they are the same.
+STUDIES = ("blocks", "position", "outage", "gyrocompassing", "sensitivity")
+NAME = "consistency"
+RUNS, QUICK_RUNS = 100, 4
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's options."""
+    parser.epilog = examples(
+        "consistency --studies blocks,position --jobs 2",
+        "consistency --quick --out docs/results",
+    )
+    names = ", ".join(STUDIES)
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("docs", "results"),
+        metavar="DIR",
+        help=f"folder of {NAME}.md and {NAME}.json (default: ./docs/results)",
+    )
+    parser.add_argument(
+        "--studies",
+        metavar="NAME,NAME",
+        help="studies to compute, separated by commas, or 'none' to write the page only (default: "
+        f"all): {names}; the numbers of the others are kept",
+    )
+    parser.add_argument(
+        "--runs",
+        type=int,
+        metavar="N",
+        help=f"number of runs of each row (default: {RUNS}, or {QUICK_RUNS} with --quick)",
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="leave out rows that another one resembles"
+    )
+    parser.add_argument("--seed", type=int, default=1, help="random seed (default: 1)")
+    add_worker_options(parser)

@@ -1,0 +1,102 @@
+"""The arguments of `insdvl evaluate`."""
+
+import argparse
+from pathlib import Path
+
+from insdvl.commands import examples
+from insdvl.jobs.arguments import add_worker_options
+
+#: The names that the modules of the study define; a test holds that they are the same.
+SCENARIOS = ("constant", "constant-tableI", "varying", "wide")
+PRESETS = ("calibrated", "paper", "paper-no-walk")
+ROWS = (
+    "constant 0.01/0.001",
+    "constant 0.2/0.02",
+    "adaptive xi=1 literal",
+    "adaptive xi=5 literal",
+    "adaptive xi=1 floored",
+    "adaptive xi=5 floored",
+    "adaptive best xi",
+    "adaptive variational",
+    "dnn",
+    "dnn default",
+    "hcf paper",
+    "hcf default",
+    "best constant",
+    "best constant for SRMSE",
+    "closed form",
+    "oracle",
+    "zero velocity",
+    "perfect heading",
+)
+ERROR_STATES = ("invariant", "ned")
+DURATION = 330  # s
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's options."""
+    parser.epilog = examples(
+        "evaluate --scenario varying --json varying.json --plot varying.png",
+        "evaluate --scenario wide --rows 'hcf default,oracle' --runs 20 --json wide.json",
+    )
+    parser.add_argument(
+        "--scenario",
+        default="varying",
+        metavar="NAME",
+        help=f"noise of the IMU: {', '.join(SCENARIOS)} (default: varying)",
+    )
+    parser.add_argument(
+        "--preset",
+        default="calibrated",
+        metavar="NAME",
+        help=f"parameters of the filters: {', '.join(PRESETS)} (default: calibrated)",
+    )
+    parser.add_argument(
+        "--error-state",
+        default="",
+        metavar="NAME",
+        help=f"{' or '.join(ERROR_STATES)} (default: that of the preset)",
+    )
+    parser.add_argument("--gate", action="store_true", help="use the chi-square gate")
+    parser.add_argument(
+        "--rows",
+        metavar="NAME,NAME",
+        help=f"approaches to compare, separated by commas (default: all): {', '.join(ROWS)}",
+    )
+    parser.add_argument(
+        "--model",
+        metavar="FILE",
+        help="also evaluate your own model (card next to the file)",
+    )
+    parser.add_argument(
+        "--runs", type=int, default=100, metavar="N", help="number of paired runs (default: 100)"
+    )
+    parser.add_argument(
+        "--tuning-runs",
+        type=int,
+        default=20,
+        metavar="N",
+        help="number of runs, with other seeds, that choose the best constant and the best "
+        "adaptive filters (default: 20)",
+    )
+    parser.add_argument("--seed", type=int, default=1, help="random seed (default: 1)")
+    parser.add_argument(
+        "--duration",
+        type=float,
+        metavar="S",
+        help=f"length of the missions (default: {DURATION})",
+    )
+    parser.add_argument("--json", type=Path, required=True, metavar="FILE", help="JSON output file")
+    parser.add_argument(
+        "--markdown",
+        type=Path,
+        metavar="FILE",
+        help="Markdown output file of the tables",
+    )
+    parser.add_argument(
+        "--plot",
+        type=Path,
+        metavar="FILE",
+        help="PNG output file of errors over time",
+    )
+    add_worker_options(parser)

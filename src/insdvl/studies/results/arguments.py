@@ -1,0 +1,68 @@
+"""The arguments of `insdvl results`."""
+
+import argparse
+from pathlib import Path
+
+from insdvl.commands import examples
+from insdvl.jobs.arguments import add_worker_options
+
+#: The names that the modules of the study define; a test holds that they are the same.
+VEHICLE = "vehicle"
+PARTS = (
+    "q-accuracy",
+    "constant-calibrated",
+    "constant-tableI-calibrated",
+    "varying-calibrated",
+    "wide-calibrated",
+    "constant-paper",
+    "constant-tableI-paper",
+    "varying-paper",
+    "wide-paper",
+    "constant-paper-no-walk",
+    "varying-ned",
+    "varying-gate",
+    "window",
+    VEHICLE,
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's options."""
+    parser.epilog = examples(
+        "results --parts wide-paper,window --jobs 2",
+        "results --recordings bags --config vehicle.yaml --out docs",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("docs"),
+        metavar="DIR",
+        help="output folder (default: ./docs)",
+    )
+    parser.add_argument(
+        "--parts",
+        metavar="NAME,NAME",
+        help="parts to compute, separated by commas, or 'none' to write the page only (default: "
+        f"all): {', '.join(PARTS)}",
+    )
+    parser.add_argument(
+        "--recordings", type=Path, metavar="DIR", help=f"folder of rosbag2 recordings for {VEHICLE}"
+    )
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help=f"YAML file of the recordings for {VEHICLE}"
+    )
+    parser.add_argument(
+        "--runs",
+        type=int,
+        metavar="N",
+        help="number of runs of each comparison (default: 100)",
+    )
+    parser.add_argument(
+        "--tuning-runs",
+        type=int,
+        default=5,
+        metavar="N",
+        help="number of runs of a search (default: 5)",
+    )
+    parser.add_argument("--seed", type=int, default=1, help="random seed (default: 1)")
+    add_worker_options(parser)
