@@ -76,6 +76,7 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
             "write a parameter file, filled from a recording",
             goal="make a parameter file",
             example="dive -o my.yaml",
+            failed="the recording is not usable",
         ),
         "replay": _study(
             "replay",
@@ -176,6 +177,16 @@ def parser_of(name: str) -> Parser:
     """The parser of one command."""
     parser = Parser(prog=f"insdvl {name}")
     declare(name, parser)
+    return parser
+
+
+def whole_parser() -> argparse.ArgumentParser:
+    """One parser of all commands, as tools need it that look at parsers."""
+    parser = argparse.ArgumentParser(prog="insdvl")
+    parser.add_argument("--version", action="store_true", help="print the version and exit")
+    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND")
+    for name, command in COMMANDS.items():
+        declare(name, subparsers.add_parser(name, help=command.meaning))
     return parser
 
 

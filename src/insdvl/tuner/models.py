@@ -152,6 +152,16 @@ def write_model(folder: Path, data: bytes, card: Mapping[str, Any]) -> tuple[Pat
     return numbers, description
 
 
+def shipped_cards() -> list[Mapping[str, Any]]:
+    """The cards of the shipped models, by name.
+
+    Raises:
+        ModelError: A card cannot be used.
+    """
+    folder = Path(str(files("insdvl") / "models"))
+    return [_card(file) for file in sorted(folder.glob("*.json"))]
+
+
 def load_model(name_or_path: str) -> Model:
     """Load a shipped model by its name, or any model by the path of its file.
 

@@ -5,7 +5,6 @@ import math
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict
-from pathlib import Path
 
 from insdvl.files import check_writable, json_text, write
 from insdvl.messages.topics import PROCESS_NOISE

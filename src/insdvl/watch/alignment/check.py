@@ -25,7 +25,7 @@ from insdvl.navigation.parameters import FilterParameters
 from insdvl.watch.alignment.causes import Miswired, miswired
 from insdvl.watch.alignment.gravity import GravityCheck
 from insdvl.watch.alignment.search import Explanation, Motion, Samples, Search
-from insdvl.watch.alignment.sentences import Alignment, Terms
+from insdvl.watch.alignment.sentences import Alignment, Remedy, Terms
 from insdvl.watch.alignment.windows import SLOW, integrated
 
 WINDOW_NS = 20 * NS  # long enough for a turn, short enough for a noisy gyroscope
@@ -191,16 +191,48 @@ class AlignmentCheck:
             if len(self._motions) >= FEWEST_WINDOWS:
                 self._thought = self._search.explain(list(self._motions))
 
-    def findings(self) -> list[str]:
-        """The contradictions that were found, one sentence each."""
-        if found := self._gravity.findings():
-            return found
+    def finish(self) -> None:
+        """Explain all windows at once, at the end of a recording: some seconds where any is odd."""
+        if not self._suspected or len(self._motions) < FEWEST_WINDOWS:
+            return
+        for motion in self._motions:
+            if not motion.tried:
+                motion.compute(self._search.causes, self._search.known)
+        self._thought, thought = None, self._search.explain(list(self._motions))
+        while True:
+            try:
+                next(thought)
+            except StopIteration as end:
+                self._explained, self._explanations = self._closed, end.value
+                return
+
+    @property
+    def windows(self) -> int:
+        """Number of windows of motion that are kept."""
+        return len(self._motions)
+
+    @property
+    def gravity(self) -> list[str]:
+        """What contradicts gravity."""
+        return self._gravity.findings()
+
+    @property
+    def remedies(self) -> list[Remedy]:
+        """What the motion contradicts, the most probable cause first; gravity aside."""
         force = self._gravity.mean
         if not self._explanations or force is None:
             return []
         v_d = np.mean([m.window.v_d.mean(axis=0) for m in self._motions], axis=0)
-        names = [self._terms.sentence(e, force, v_d) for e in self._explanations]
-        return [f"{'; or '.join(names)} ({len(self._motions)} windows of {WINDOW_NS // NS} s)"]
+        return [self._terms.remedy(e, force, v_d) for e in self._explanations]
+
+    def findings(self) -> list[str]:
+        """The contradictions that were found, one sentence each."""
+        if found := self.gravity:
+            return found
+        if not (remedies := self.remedies):
+            return []
+        texts = "; or ".join(remedy.text for remedy in remedies)
+        return [f"{texts} ({len(self._motions)} windows of {WINDOW_NS // NS} s)"]
 
     def alignment(self) -> Alignment | None:
         """Mount, scale, arm and time offset that the windows tell.

@@ -78,19 +78,23 @@ class GravityCheck:
             ]
         for axis in range(2):
             if (np.abs(forces[:, axis]) / sizes > ASIDE).all():
+                mount = ", ".join(f"{x:.2f}" for x in self.upright_mount())
                 return [
                     f"gravity is along {'xy'[axis]} of base_link, not along z: the specific force "
                     f"along it has been {mean[axis]:+.2f} m/s^2 for {seconds} s; imu.mount is "
-                    f"wrong, or the vehicle is not upright: imu.mount {self._levelled(forces)} rad "
+                    f"wrong, or the vehicle is not upright: imu.mount [{mount}] rad "
                     "would make it upright"
                 ]
         return []
 
-    def _levelled(self, forces: Array) -> str:
-        """The parameter imu.mount after the smallest turn that makes the vehicle upright."""
-        f = forces.mean(axis=0)
+    def upright_mount(self) -> tuple[float, ...]:
+        """The parameter imu.mount [rad] after the smallest turn that makes the vehicle upright.
+
+        Of an IMU whose mean force is neither zero nor exactly reversed.
+        """
+        f = np.mean(self._forces, axis=0)
         axis = np.cross(f, _UP)
         angle = np.arctan2(np.linalg.norm(axis), f @ _UP)
         turn = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix()
         rpy = rpy_from_rotation(self._axes @ turn @ self._C_b_i @ self._axes)
-        return f"[{', '.join(f'{x:.2f}' for x in rpy + 0.0)}]"
+        return tuple(round(float(x), 2) for x in rpy + 0.0)

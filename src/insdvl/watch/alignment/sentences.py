@@ -1,7 +1,9 @@
 """What an explanation says: the parameter to set, and its value."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -52,6 +54,20 @@ class Alignment:
     windows: int
 
 
+@dataclass(frozen=True)
+class Remedy:
+    """What is wrong, and what to do about it.
+
+    Attributes:
+        text: Both, in a sentence.
+        settings: Parameters of the filter that mend it, with their values; none where the driver
+            must be corrected. Where two parameters would do, that of the DVL.
+    """
+
+    text: str
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+
 class Terms:
     """The unknowns in the terms of the parameters.
 
@@ -88,7 +104,7 @@ class Terms:
             windows=len(fit.noise.dof),
         )
 
-    def sentence(self, explanation: Explanation, force: Array, v_d: Array) -> str:
+    def remedy(self, explanation: Explanation, force: Array, v_d: Array) -> Remedy:
         """What is wrong, and what to set.
 
         Args:
@@ -99,37 +115,42 @@ class Terms:
         cause, fit = explanation.cause, explanation.fit
         if isinstance(cause, Cause):
             found = self.alignment(fit)
-            parts = []
+            parts: list[Remedy] = []
             if explanation.accuses & {"mount"}:
                 turn = Rotation.from_rotvec(fit.values[MOUNT]).as_matrix()
                 parts.append(self._turned(turn, found.mount_std, force, v_d))
             if explanation.accuses & {"scale"}:
-                parts.append(_scaled(cause.unit, found))
+                parts.append(Remedy(_scaled(cause.unit, found)))
             if "arm" in cause.blocks:
-                parts.append(
+                text = (
                     f"the lever arm of the DVL is wrong: set dvl.lever_arm to "
                     f"{_list(found.lever_arm, 2)} m (sigma {_list(found.lever_arm_std, 2)})"
                 )
+                parts.append(Remedy(text, {"dvl.lever_arm": _rounded(found.lever_arm, 2)}))
             if "delay" in cause.blocks:
                 behind = found.time_offset - self._parameters.dvl.time_offset
                 late = "late" if behind < 0.0 else "early"
-                parts.append(
+                text = (
                     f"the stamps of the DVL are {abs(behind):.2f} s {late}: set dvl.time_offset to "
                     f"{found.time_offset:.3f} s (sigma {found.time_offset_std:.3f})"
                 )
+                parts.append(Remedy(text, {"dvl.time_offset": round(found.time_offset, 3)}))
             if "gyroscope scale" in cause.blocks:
-                parts.append(_gyroscope_scale(1.0, fit))
-            return "; and ".join(parts)
+                parts.append(Remedy(_gyroscope_scale(1.0, fit)))
+            # What the driver must correct as well is not mended by parameters alone.
+            mended = all(part.settings for part in parts)
+            settings = {name: v for part in parts for name, v in part.settings.items()}
+            return Remedy("; and ".join(part.text for part in parts), settings if mended else {})
         if cause.factor != 1.0:
-            return _gyroscope_scale(cause.factor, fit)
+            return Remedy(_gyroscope_scale(cause.factor, fit))
         if cause.sensor == "DVL" and np.linalg.det(cause.matrix) > 0.0:
             C_b_d = self.known.C_b_d
             turn = C_b_d @ cause.matrix @ C_b_d.T
             turn = Rotation.from_rotvec(fit.values[MOUNT]).as_matrix() @ turn
             return self._turned(turn, fit.sigma[MOUNT], force, v_d)
-        return self._axes_of(cause)
+        return Remedy(self._axes_of(cause))
 
-    def _turned(self, turn: Array, sigma: Array, force: Array, v_d: Array) -> str:
+    def _turned(self, turn: Array, sigma: Array, force: Array, v_d: Array) -> Remedy:
         """The DVL is turned against the IMU by `turn` (3, 3): it is the one or the other.
 
         The vertical tells which, or the direction of travel, which is forward for most vehicles.
@@ -139,13 +160,17 @@ class Terms:
         angle = float(np.linalg.norm(by))
         names = [f"{'xyz'[i]} by {by[i]:+.1f} deg" for i in range(3) if abs(by[i]) > 0.1 * angle]
         what = f"turned about {', '.join(names)} (sigma {_list(np.degrees(sigma), 1)} deg)"
-        dvl = f"the DVL is {what}: set dvl.mount to {_list(self.rpy(of_dvl), 3)} rad"
+        dvl = Remedy(
+            f"the DVL is {what}: set dvl.mount to {_list(self.rpy(of_dvl), 3)} rad",
+            {"dvl.mount": _rounded(self.rpy(of_dvl), 3)},
+        )
         back = ", ".join(
             f"{'xyz'[i]} by {-by[i]:+.1f} deg" for i in range(3) if abs(by[i]) > 0.1 * angle
         )
-        imu = (
+        imu = Remedy(
             f"the IMU is turned about {back} (sigma {_list(np.degrees(sigma), 1)} deg): "
-            f"set imu.mount to {_list(self.rpy(of_imu), 3)} rad"
+            f"set imu.mount to {_list(self.rpy(of_imu), 3)} rad",
+            {"imu.mount": _rounded(self.rpy(of_imu), 3)},
         )
         tilt, tilt_of_imu = _tilt(force), _tilt(turn.T @ force)
         if tilt_of_imu - tilt > TILTED:
@@ -157,7 +182,7 @@ class Terms:
             return dvl
         if course < FORWARD and course_of_dvl - course > FORWARD:
             return imu
-        return f"{dvl}; or {imu}"
+        return Remedy(f"{dvl.text}; or {imu.text}", dvl.settings)
 
     def _axes_of(self, cause: Miswired) -> str:
         """Which axes of a sensor are exchanged or reversed, in its own axes of the stream."""
@@ -191,6 +216,10 @@ def _course(v_b: Array) -> float:
 
 def _list(values: Array, digits: int) -> str:
     return f"[{', '.join(f'{x:.{digits}f}' for x in values + 0.0)}]"
+
+
+def _rounded(values: Array, digits: int) -> tuple[float, ...]:
+    return tuple(round(float(x), digits) for x in values + 0.0)
 
 
 def _scaled(unit: str, found: Alignment) -> str:

@@ -1,0 +1,1 @@
+"""What the software says of itself: models, parameters, installation, citation, completion."""

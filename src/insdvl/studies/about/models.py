@@ -1,0 +1,43 @@
+"""The command `insdvl models`: the shipped models, and what their cards say."""
+
+import argparse
+from collections.abc import Mapping
+from typing import Any
+
+from insdvl.files import json_text
+from insdvl.tuner.models import shipped_cards
+
+_HEADER = ("name", "kind", "inputs", "window", "trained on", "error", "needs")
+#: Extra of the packages that a kind of model needs aboard.
+_NEEDS = {"network": "insdvl[onnx]"}
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Print the cards."""
+    cards = shipped_cards()
+    if arguments.json:
+        print(json_text({card["name"]: card for card in cards}), end="")
+        return 0
+    rows = [_HEADER, *(_row(card) for card in cards)]
+    widths = [max(len(row[k]) for row in rows) for k in range(len(_HEADER))]
+    for row in rows:
+        print("  ".join(f"{cell:{w}}" for cell, w in zip(row, widths, strict=True)).rstrip())
+    print()
+    print("window: samples; trained on: variances of the noise; error: relative RMSE on")
+    print("trajectories that training has not seen. The tuner's parameter 'model' takes a name.")
+    return 0
+
+
+def _row(card: Mapping[str, Any]) -> tuple[str, ...]:
+    """A card as a row; what it does not say is empty."""
+    variances = card.get("data_set", {}).get("variances", [])
+    error = card.get("metrics", {}).get("trajectory_split", {}).get("relative_rmse")
+    return (
+        card["name"],
+        card["kind"],
+        card["feature_schema"],
+        str(card["window"]),
+        f"{variances[0]:g} to {variances[-1]:g}" if variances else "",
+        f"{error:.1%}" if error is not None else "",
+        _NEEDS.get(card["kind"], ""),
+    )

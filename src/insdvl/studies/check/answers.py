@@ -1,0 +1,358 @@
+"""The answers to each question, from what was seen of a recording."""
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from insdvl.messages.topics import DEPTH
+from insdvl.navigation.geometry.frames import CONVENTIONS
+from insdvl.studies.check.findings import (
+    AXES,
+    FILTER,
+    FIT,
+    HEADING,
+    NEEDED,
+    NONE,
+    PINGS,
+    REPLAY,
+    SAMPLES,
+    STAMPS,
+    START,
+    Finding,
+)
+from insdvl.studies.check.inspection import Inspection
+from insdvl.studies.check.stamps import StampFacts
+from insdvl.watch.alignment.check import FEWEST_WINDOWS
+
+#: Share of messages from which a fault makes a recording useless.
+MOST = 0.5
+
+
+def answers(seen: Inspection) -> list[Finding]:
+    """All that is to be said, in the order of the questions."""
+    found = list(_needed(seen))
+    if seen.imu is not None:
+        found += _stamps(seen)
+        found += [*_axes(seen), *_start(seen), *_heading(seen), *_samples(seen)]
+    if seen.dvl is not None:
+        found += _pings(seen)
+    if seen.imu is not None and seen.dvl is not None:
+        found += _fit(seen)
+    return found
+
+
+def _fatal(question: str, text: str) -> Finding:
+    return Finding(question, text, wrong=True, fatal=True)
+
+
+def _wrong(question: str, text: str, **values: Any) -> Finding:
+    return Finding(question, text, wrong=True, settings={FILTER: values} if values else NONE)
+
+
+def _setting(question: str, text: str, settings: Mapping[str, Any], node: str = FILTER) -> Finding:
+    return Finding(question, text, wrong=True, settings={node: settings})
+
+
+# ---------------------------------------------------------------- each question
+
+
+def _needed(seen: Inspection) -> Iterator[Finding]:
+    sensors, replay = seen.sensors, seen.replay
+    if not sensors.imu:
+        yield _fatal(NEEDED, "No topic has the type sensor_msgs/msg/Imu: the filter needs an IMU.")
+    elif sensors.imu == replay.imu_topic:
+        yield Finding(NEEDED, f"The IMU is on {sensors.imu}.")
+    else:
+        yield _setting(
+            NEEDED,
+            f"The IMU is on {sensors.imu}, which imu_topic must name.",
+            {"imu_topic": sensors.imu},
+            REPLAY,
+        )
+    if sensors.dvl_row is None:
+        yield _fatal(NEEDED, "No topic has a type of a DVL: the filter needs its velocities.")
+    elif sensors.dvl == getattr(replay, sensors.dvl_row.replay_parameter):
+        yield Finding(NEEDED, f"The DVL is on {sensors.dvl}.")
+    else:
+        name = sensors.dvl_row.replay_parameter
+        yield _setting(
+            NEEDED,
+            f"The DVL is on {sensors.dvl}, which {name} must name.",
+            {name: sensors.dvl},
+            REPLAY,
+        )
+    if sensors.rivals:
+        yield Finding(NEEDED, f"Not looked at, of a fitting type: {', '.join(sensors.rivals)}.")
+    if sensors.pressure and not seen.parameters.depth.topic:
+        name = sensors.pressure.lstrip("/")
+        yield _setting(
+            NEEDED, f"{sensors.pressure} tells the depth.", {"depth.topic": name or DEPTH}
+        )
+    if seen.place is not None:
+        lat, told = seen.place[0], seen.parameters.origin.latitude_deg
+        if abs(lat - told) > 1.0:
+            yield _setting(
+                NEEDED,
+                f"The first fix is at latitude {lat:.2f} deg, origin.latitude_deg is {told:g}.",
+                {"origin.latitude_deg": round(lat, 2)},
+            )
+
+
+def _stamps(seen: Inspection) -> Iterator[Finding]:
+    for topic, use in ((seen.sensors.imu, "IMU"), (seen.sensors.dvl, "DVL")):
+        if topic:
+            yield from _stamps_of(use, seen.stamps[topic])
+    imu = seen.stamps[seen.sensors.imu]
+    told = seen.parameters.imu
+    if "imu.rate" in seen.found:
+        names = [name for name in seen.found if name in ("imu.rate", "imu.max_gap")]
+        yield _setting(
+            STAMPS,
+            f"The IMU has {seen.found['imu.rate']:g} Hz.",
+            {name: seen.found[name] for name in names},
+        )
+    elif imu.rate and abs(imu.rate / told.rate - 1.0) > 0.1:
+        yield _wrong(
+            STAMPS,
+            f"The IMU has {imu.rate:.4g} Hz, imu.rate is {told.rate:g}.",
+            **{"imu.rate": float(f"{imu.rate:.3g}")},
+        )
+    dvl = seen.stamps.get(seen.sensors.dvl)
+    have_stamps = dvl is not None and dvl.rate and imu.rate
+    if dvl is not None and have_stamps and not _overlap(imu, dvl):
+        yield _fatal(STAMPS, "No stamp of the DVL is within those of the IMU: other clocks.")
+
+
+def _overlap(a: StampFacts, b: StampFacts) -> bool:
+    return a.first_ns <= b.last_ns and b.first_ns <= a.last_ns
+
+
+def _stamps_of(use: str, s: StampFacts) -> Iterator[Finding]:
+    if s.unset > MOST * s.count:
+        yield _fatal(STAMPS, f"The {use} does not stamp its messages: {s.unset} stamps are zero.")
+        return
+    faults = [
+        f"{s.gaps} gaps, {s.missing:.3g} s together, the longest {s.longest:.3g} s" * (s.gaps > 0),
+        f"{s.repeated} stamps occur twice" * (s.repeated > 0),
+        f"{s.backward} stamps go back" * (s.backward > 0),
+        f"{s.unset} stamps are zero" * (s.unset > 0),
+    ]
+    faults = [fault for fault in faults if fault]
+    text = f"{use}: {'; '.join(faults) or f'{s.rate or 0.0:.4g} Hz without gaps'}."
+    yield Finding(STAMPS, text, wrong=bool(faults))
+    if s.latency is None:
+        return
+    low, middle, high = (1e3 * seconds for seconds in s.latency)  # ms
+    if s.has_own_clock:
+        yield Finding(STAMPS, f"{use}: stamps and times of recording are of different clocks.")
+    elif middle < -1.0:
+        yield Finding(
+            STAMPS,
+            f"{use}: stamps are {-middle:.1f} ms after the times of recording: the clock of the "
+            "sensor is ahead.",
+            wrong=True,
+        )
+    else:
+        yield Finding(
+            STAMPS,
+            f"{use}: recorded {middle:.1f} ms after its stamps; 5 to 95 %: {low:.1f} to "
+            f"{high:.1f} ms.",
+        )
+
+
+def _axes(seen: Inspection) -> Iterator[Finding]:
+    assert seen.imu is not None
+    f = seen.imu.mean[:3]
+    shown = f"[{', '.join(f'{x:+.2f}' for x in f)}] m/s^2"
+    text = f"The mean specific force is {shown} in the axes of the IMU."
+    changed = {n: v for n, v in seen.found.items() if n in ("frame_convention", "imu.mount")}
+    if changed:
+        yield _setting(AXES, text, changed)
+    else:
+        yield Finding(AXES, text)
+    for sentence in seen.gravity:
+        told = seen.parameters.frame_convention
+        other = next(name for name in CONVENTIONS if name != told)
+        reversed_ = "wrong sign" in sentence
+        mended = reversed_ or "would make it upright" in sentence
+        settings = {FILTER: {"frame_convention": other}} if reversed_ else NONE
+        yield Finding(AXES, f"{sentence}.", wrong=True, fatal=not mended, settings=settings)
+
+
+def _start(seen: Inspection) -> Iterator[Finding]:
+    assert seen.imu is not None
+    start, first = seen.imu.start, seen.dvl.first if seen.dvl is not None else ()
+    speed = max(first, default=0.0)
+    if start is None:
+        yield Finding(START, "Too few samples to tell.")
+        return
+    noise = 3.0 * max(seen.parameters.dvl.noise_std)
+    moving = start.worst > 1.0 or speed > noise
+    told = f", the DVL reads {speed:.2f} m/s" if first else ""
+    if moving:
+        yield Finding(
+            START,
+            f"Yes{told}: the filter starts under way, tilt to 3 deg, and needs a DVL velocity.",
+        )
+    else:
+        yield Finding(START, f"No{told}: levelling and gyroscope biases are taken from the rest.")
+
+
+def _heading(seen: Inspection) -> Iterator[Finding]:
+    o = seen.orientation
+    assert o is not None
+    if o.told + o.untold and o.tilted > MOST * (o.told + o.untold):
+        yield Finding(
+            HEADING, "The orientation of the IMU is in other axes than its force: not used."
+        )
+    elif o.is_told and o.sigma is not None:
+        yield Finding(
+            HEADING, f"From the orientation of the IMU, one sigma {math.degrees(o.sigma):.2g} deg."
+        )
+        return
+    elif o.untold > MOST * o.looked:
+        yield Finding(
+            HEADING,
+            "The IMU has an orientation of unknown covariance. If its heading is right, set "
+            "initial.heading: imu and initial.heading_std.",
+        )
+    if seen.sensors.odometry:
+        yield Finding(
+            HEADING,
+            f"{seen.sensors.odometry} may tell it: initial.mode: topic, initial.topic: "
+            f"{seen.sensors.odometry.lstrip('/')}.",
+        )
+    yield Finding(
+        HEADING,
+        "No sensor is known to tell it: it is unknown until the motion shows it. If you know "
+        "it, set initial.heading: parameters and initial.rpy.",
+    )
+
+
+def _samples(seen: Inspection) -> Iterator[Finding]:
+    imu = seen.imu
+    assert imu is not None
+    refused = sum(imu.refused.values())
+    if refused > MOST * (refused + imu.count):
+        yield _fatal(SAMPLES, f"Most samples cannot be used: {_counted(imu.refused)}.")
+    elif refused:
+        yield _wrong(SAMPLES, f"Samples that cannot be used: {_counted(imu.refused)}.")
+    for channel, value in imu.stands.items():
+        name = "imu.acceleration_range" if channel[0] == "f" else "imu.rate_range"
+        told = seen.parameters.imu
+        range_ = told.acceleration_range if channel[0] == "f" else told.rate_range
+        unit = "m/s^2" if channel[0] == "f" else "rad/s"
+        if not range_ or abs(value) < range_:
+            yield _wrong(
+                SAMPLES,
+                f"{channel} is saturated: it stands at {value:.4g} {unit}.",
+                **{name: _floor(abs(value))},
+            )
+    for count, text in (
+        (imu.saturated, "at the end of the declared range"),
+        (imu.frozen, "with a frozen channel, bit-equal for imu.frozen_samples"),
+        (imu.no_data, "with a specific force of exactly zero"),
+        (imu.glitches, "with a reading that leaves its neighbours (a glitch)"),
+    ):
+        if count:
+            yield _wrong(SAMPLES, f"{count} of {imu.count} samples {text}.")
+    if imu.variance.any():
+        f, w = np.sqrt(imu.variance[:3]).max(), np.sqrt(imu.variance[3:]).max()
+        yield Finding(
+            SAMPLES, f"Noise of a sample, one sigma: {f:.2g} m/s^2 and {w:.2g} rad/s at most."
+        )
+        settings = _noise(seen)
+        if settings:
+            yield _setting(SAMPLES, "process_noise is more than 3 times off that sigma.", settings)
+
+
+def _noise(seen: Inspection) -> dict[str, tuple[float, ...]]:
+    """The variances of the noise, where the parameters are far from them."""
+    assert seen.imu is not None
+    told = seen.parameters.process_noise
+    found = {}
+    for name, part in (("accelerometer", slice(0, 3)), ("gyroscope", slice(3, 6))):
+        variance = float(seen.imu.variance[part].max())
+        told_variance = max(getattr(told, f"{name}_variance"))
+        if variance and not 1 / 9 <= told_variance / variance <= 9:
+            found[f"process_noise.{name}_variance"] = (float(f"{variance:.2g}"),) * 3
+    return found
+
+
+def _pings(seen: Inspection) -> Iterator[Finding]:
+    dvl = seen.dvl
+    assert dvl is not None
+    refused = sum(dvl.refused.values())
+    if refused > MOST * (refused + dvl.count):
+        yield _fatal(PINGS, f"Most measurements cannot be used: {_counted(dvl.refused)}.")
+    elif refused:
+        yield _wrong(PINGS, f"Measurements that cannot be used: {_counted(dvl.refused)}.")
+    if dvl.speed is None:
+        yield _wrong(PINGS, "No velocity differs from zero.")
+    elif dvl.too_fast > MOST * dvl.count:
+        unit = f": the unit is {dvl.unit}, convert it to m/s in the driver" if dvl.unit else ""
+        yield _fatal(
+            PINGS,
+            f"The median speed is {dvl.speed[0]:.4g} m/s, dvl.max_speed is "
+            f"{seen.parameters.dvl.max_speed:g}{unit}.",
+        )
+    else:
+        yield Finding(
+            PINGS, f"Speeds: {dvl.speed[0]:.3g} m/s in the median, {dvl.speed[1]:.3g} at most."
+        )
+        if dvl.too_fast:
+            yield _wrong(PINGS, f"{dvl.too_fast} of {dvl.count} are beyond dvl.max_speed: refused.")
+    for count, text in (
+        (dvl.zeros, "are exactly zero: no bottom lock, or a vehicle at rest"),
+        (dvl.repeats, "repeat the one before: no bottom lock, or a coarse resolution"),
+        (dvl.partial, "lack a component"),
+    ):
+        if count:
+            yield _wrong(PINGS, f"{count} of {dvl.count} {text}.")
+    if dvl.told is not None:
+        yield Finding(PINGS, f"The messages tell a sigma of {dvl.told:.2g} m/s.")
+    if dvl.scatter is not None and dvl.scatter.any():
+        yield Finding(
+            PINGS, f"They scatter by {_list(dvl.scatter)} m/s, motion between pings included."
+        )
+
+
+def _fit(seen: Inspection) -> Iterator[Finding]:
+    if seen.windows < FEWEST_WINDOWS:
+        yield Finding(
+            FIT,
+            f"Not told: that takes {FEWEST_WINDOWS} stretches of 20 s with both, the recording has "
+            f"{seen.windows}.",
+        )
+        return
+    if seen.remedies:
+        texts = "; or ".join(remedy.text for remedy in seen.remedies)
+        mended = [remedy.settings for remedy in seen.remedies if remedy.settings]
+        settings = mended[0] if mended else {}
+        yield Finding(
+            FIT,
+            f"No: {texts}.",
+            wrong=True,
+            fatal=not mended,
+            settings={FILTER: settings} if settings else NONE,
+        )
+    else:
+        yield Finding(
+            FIT, f"Nothing contradicts the parameters in {seen.windows} stretches of 20 s."
+        )
+
+
+def _counted(reasons: Mapping[str, int]) -> str:
+    return ", ".join(f"{count} {reason}" for reason, count in reasons.items())
+
+
+def _list(values: Any) -> str:
+    return f"[{', '.join(f'{x:.2g}' for x in values + 0.0)}]"
+
+
+def _floor(value: float) -> float:
+    """A value, rounded down to four digits: a reading at the end of the range must reach it."""
+    digits = 3 - math.floor(math.log10(value))
+    return math.floor(value * 10.0**digits) / 10.0**digits

@@ -1,0 +1,26 @@
+"""The arguments of `insdvl check`."""
+
+import argparse
+from pathlib import Path
+
+from insdvl.commands import examples
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's options."""
+    parser.epilog = examples("check dive", "check dive.mcap -c vehicle.yaml --json -")
+    parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2: a folder, .mcap or .db3")
+    parser.add_argument(
+        "-c",
+        "--config",
+        type=Path,
+        metavar="YAML",
+        help="parameter file by which the recording is judged (default: the defaults, with frame "
+        "convention, mount and rate of the IMU as the recording tells them)",
+    )
+    parser.add_argument(
+        "--json",
+        type=Path,
+        metavar="FILE",
+        help="JSON output file; - writes it to the terminal, instead of the text",
+    )

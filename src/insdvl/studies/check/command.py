@@ -1,0 +1,63 @@
+"""The command `insdvl check`: a recording is looked at, and judged for the filter."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from insdvl.files import check_writable, json_text, write
+from insdvl.jobs.progress import Progress
+from insdvl.navigation.parameters import FilterParameters
+from insdvl.parameters.sections import load_section
+from insdvl.recordings.bag_reader import BagReader
+from insdvl.recordings.parameters import ReplayParameters
+from insdvl.studies.check.answers import answers
+from insdvl.studies.check.findings import is_usable
+from insdvl.studies.check.inspection import Inspection, inspect
+from insdvl.studies.check.text import document_of, text_of
+from insdvl.studies.check.topics import STAMPED
+
+TERMINAL = Path("-")  # as an output file
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Check; the exit code is 1 where the recording is not usable, 2 where it cannot be read."""
+    try:
+        if arguments.json not in (None, TERMINAL):
+            check_writable(arguments.json, "--json")
+        filter_, replay = FilterParameters(), ReplayParameters()
+        if arguments.config is not None:
+            filter_ = load_section(
+                arguments.config, "insdvl_filter", FilterParameters, required=True
+            )
+            replay = load_section(arguments.config, "insdvl_replay", ReplayParameters)
+        seen = looked_at(arguments.bag, filter_, replay, adapt=arguments.config is None)
+        found = answers(seen)
+        if arguments.json is not None:
+            document = json_text(document_of(str(arguments.bag), seen, found))
+            if arguments.json == TERMINAL:
+                print(document, end="")
+            else:
+                write(arguments.json, document.encode())
+        if arguments.json != TERMINAL:
+            print(text_of(str(arguments.bag), seen, found))
+    except (ValueError, OSError) as error:
+        sentence = " ".join(str(error).split())  # a YAML error has several lines
+        print(f"insdvl check: {sentence}", file=sys.stderr)
+        return 2
+    return 0 if is_usable(found) else 1
+
+
+def looked_at(
+    path: Path, filter_: FilterParameters, replay: ReplayParameters, *, adapt: bool
+) -> Inspection:
+    """See `inspect`; on a terminal with its progress.
+
+    Raises:
+        BagError: The recording cannot be read.
+    """
+    with BagReader(path) as bag:
+        if not sys.stderr.isatty():
+            return inspect(bag, filter_, replay, adapt=adapt)
+        size = sum(topic.size for topic in bag.topics.values() if topic.type in STAMPED)
+        with Progress("messages", size) as progress:
+            return inspect(bag, filter_, replay, adapt=adapt, show=progress.show)

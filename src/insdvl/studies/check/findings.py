@@ -1,0 +1,56 @@
+"""What is said of a recording: sentences under the questions of an engineer, and what to set.
+
+A recording is usable when nothing is wrong with it that only its driver can mend.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+FILTER, REPLAY = "insdvl_filter", "insdvl_replay"
+NEEDED, STAMPS, AXES, START, HEADING, SAMPLES, PINGS, FIT = (
+    "Is there what the filter needs?",
+    "Are the stamps right?",
+    "Which way do the axes point?",
+    "Does it move at the start?",
+    "Where does the heading come from?",
+    "Are the samples of the IMU good?",
+    "Are the velocities of the DVL good?",
+    "Do IMU and DVL fit each other?",
+)
+QUESTIONS = (NEEDED, STAMPS, AXES, START, HEADING, SAMPLES, PINGS, FIT)
+NONE: Mapping[str, Mapping[str, Any]] = MappingProxyType({})
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A sentence under a question.
+
+    Attributes:
+        question: One of `QUESTIONS`.
+        text: The sentence.
+        wrong: Whether something is wrong or missing.
+        fatal: Whether no parameter mends it.
+        settings: Parameters to set, by node.
+    """
+
+    question: str
+    text: str
+    wrong: bool = False
+    fatal: bool = False
+    settings: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: NONE)
+
+
+def is_usable(found: Sequence[Finding]) -> bool:
+    """Whether the filter can use the recording, with the settings."""
+    return not any(finding.fatal for finding in found)
+
+
+def settings_of(found: Sequence[Finding]) -> dict[str, dict[str, Any]]:
+    """All that is to be set, by node; what is said last counts."""
+    settings: dict[str, dict[str, Any]] = {}
+    for finding in found:
+        for node, values in finding.settings.items():
+            settings.setdefault(node, {}).update(values)
+    return settings

@@ -1,0 +1,1 @@
+"""`insdvl init`: a parameter file, filled from a recording."""

@@ -1,0 +1,120 @@
+"""The parameters that matter, filled from what was seen of a recording, each with its reason."""
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from insdvl.navigation.parameters import FilterParameters
+from insdvl.simulation.grades import GRADES, Grade
+from insdvl.studies.check.findings import FILTER, REPLAY, Finding, settings_of
+from insdvl.studies.check.inspection import Inspection
+from insdvl.studies.report.parameter_page import yaml_value
+
+#: Marks what a recording does not tell.
+CHECK = "CHECK"
+_HOUR = 3600.0  # s, in which a bias wanders by a third of its turn-on sigma
+_HEADER = f"""\
+# From {{name}} by `insdvl init`; for `insdvl replay --config` and, as --params-file, for the nodes.
+# {CHECK} marks what the recording does not tell: measure it on the vehicle.
+"""
+
+
+class Line(NamedTuple):
+    """A parameter.
+
+    Attributes:
+        name: Of the parameter.
+        value: Its value.
+        why: Where the value is from.
+    """
+
+    name: str
+    value: Any
+    why: str
+
+
+def parameter_file(name: str, seen: Inspection, found: Sequence[Finding]) -> str:
+    """The file.
+
+    Args:
+        name: Of the recording.
+        seen: What was seen of it, usable.
+        found: What is said of it.
+    """
+    settings = settings_of(found)
+    mended = settings.get(FILTER, {})
+    lines = {line.name: line for line in _filter(seen)}
+    for key, value in mended.items():
+        if not key.startswith("process_noise."):  # told below for each axis
+            lines[key] = Line(key, value, f"{CHECK}: as the recording shows, see `insdvl check`")
+    text = _HEADER.format(name=name)
+    for node, rows in ((FILTER, lines.values()), (REPLAY, _replay(seen))):
+        text += f"/**/{node}:\n  ros__parameters:\n"
+        for line in rows:
+            text += f"    {f'{line.name}: {yaml_value(line.value)}':42}  # {line.why}\n"
+    return text
+
+
+def _filter(seen: Inspection) -> Iterator[Line]:
+    """The ten that are to be set, and the grade of the IMU."""
+    p = seen.parameters
+    imu, dvl, orientation = seen.imu, seen.dvl, seen.orientation
+    assert imu is not None and dvl is not None and orientation is not None
+    rate = p.imu.rate
+    yield Line(
+        "frame_convention",
+        p.frame_convention,
+        f"the mean force along z is {imu.mean[2]:+.2f} m/s^2",
+    )
+    yield Line("origin.latitude_deg", p.origin.latitude_deg, f"{CHECK}: to a degree")
+    yield Line("imu.rate", rate, "Hz, by the stamps")
+    yield Line("imu.mount", p.imu.mount, f"{CHECK}: roll, pitch, yaw, rad")
+    yield Line("dvl.mount", p.dvl.mount, f"{CHECK}: roll, pitch, yaw, rad")
+    yield Line("dvl.lever_arm", p.dvl.lever_arm, f"{CHECK}: position in base_link, m")
+    if dvl.scatter is None or not dvl.scatter.any():
+        yield Line("dvl.noise_std", p.dvl.noise_std, f"{CHECK}: m/s, by its data sheet")
+    else:
+        sigma = float(f"{np.sqrt(np.mean(dvl.scatter**2)):.2g}")
+        yield Line("dvl.noise_std", (sigma,) * 3, "m/s, by their scatter")
+    yield Line("initial.mode", p.initial.mode, "assumes nothing")
+    told = "the IMU tells it" if orientation.is_told else f"{CHECK}: no sensor tells it"
+    yield Line("initial.heading", p.initial.heading, told)
+    yield Line("process_noise.source", "constant", "external: the tuner learns it")
+    variance = np.where(imu.variance > 0.0, imu.variance, _told(p))
+    name, grade = _grade(variance, rate)
+    for k, sensor in enumerate(("accelerometer", "gyroscope")):
+        values = tuple(float(f"{x:.2g}") for x in variance[3 * k : 3 * k + 3])
+        yield Line(f"process_noise.{sensor}_variance", values, "by differences")
+    for sensor in ("accelerometer", "gyroscope"):
+        bias = getattr(grade, f"{sensor}_bias")
+        walk = (bias / 3.0) ** 2 / _HOUR
+        why = f"{CHECK}: grade {name}, by its noise"
+        yield Line(f"initial.{sensor}_bias_std", float(f"{bias:.2g}"), why)
+        yield Line(f"process_noise.{sensor}_bias_walk", float(f"{walk:.2g}"), why)
+
+
+def _told(p: FilterParameters) -> list[float]:
+    noise = p.process_noise
+    return [*noise.accelerometer_variance, *noise.gyroscope_variance]
+
+
+def _grade(variance: Any, rate: float) -> tuple[str, Grade]:
+    """The grade whose noise of the gyroscope is nearest, by its name."""
+    density = math.sqrt(float(np.mean(variance[3:])) / rate)
+
+    def distance(name: str) -> float:
+        return abs(math.log(density / GRADES[name].gyroscope_noise))
+
+    name = min(GRADES, key=distance)
+    return name, GRADES[name]
+
+
+def _replay(seen: Inspection) -> Iterator[Line]:
+    """The topics."""
+    sensors = seen.sensors
+    assert sensors.dvl_row is not None
+    yield Line("imu_topic", sensors.imu, "sensor_msgs/msg/Imu")
+    name = sensors.dvl_row.replay_parameter
+    yield Line(name, sensors.dvl, seen.topics[sensors.dvl].type)
