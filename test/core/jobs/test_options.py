@@ -6,7 +6,8 @@ import os
 import pytest
 
 from insdvl.jobs import options as module
-from insdvl.jobs.options import Workers, WorkersError, add_worker_options, workers_from
+from insdvl.jobs.arguments import add_worker_options
+from insdvl.jobs.options import Workers, WorkersError, workers_from
 
 
 def workers_of(*options):

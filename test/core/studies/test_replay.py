@@ -666,14 +666,3 @@ def test_a_damaged_recording_leaves_earlier_results_alone(
     assert "damaged.mcap" in capsys.readouterr().err
     assert (tmp_path / "a.json").read_text() == "earlier"
     assert not (tmp_path / "out").exists()
-
-
-def test_the_command_without_a_subcommand_names_them(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as exit_:
-        cli.main([])
-    assert exit_.value.code == 2
-    assert "train, replay" in capsys.readouterr().err
-    with pytest.raises(SystemExit) as exit_:
-        cli.main(["fly"])
-    assert exit_.value.code == 2
-    assert "fly" in capsys.readouterr().err

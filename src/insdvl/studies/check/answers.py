@@ -21,6 +21,7 @@ from insdvl.studies.check.findings import (
     STAMPS,
     START,
     Finding,
+    right_angles,
 )
 from insdvl.studies.check.inspection import Inspection
 from insdvl.studies.check.stamps import StampFacts
@@ -338,6 +339,10 @@ def _fit(seen: Inspection) -> Iterator[Finding]:
             fatal=not mended,
             settings={FILTER: settings} if settings else NONE,
         )
+        for name in ("dvl.mount", "imu.mount"):
+            if name in settings:
+                angles = right_angles(settings[name])
+                yield Finding(FIT, f"If it was mounted at right angles, {name} is {list(angles)}.")
     else:
         yield Finding(
             FIT, f"Nothing contradicts the parameters in {seen.windows} stretches of 20 s."

@@ -11,6 +11,7 @@ from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.watch.alignment.causes import UNITS
 
 ORDER = 3  # of the differences that the noise is taken from
+FEWEST = 10  # of them
 MEDIAN = 0.6745  # of the size of a normal variable, in its sigma
 #: Speeds that a vehicle with a DVL has [m/s], to guess the unit from.
 USUAL = (0.05, 5.0)
@@ -96,7 +97,7 @@ class DvlLog:
             partial=self._partial,
             speed=(float(np.median(moving)), float(moving.max())) if moving.size else None,
             mean=v.mean(axis=0) if len(v) else np.zeros(3),
-            scatter=_scatter(np.array(self._stamps), v[:]),
+            scatter=_scatter(np.array(self._stamps), v),
             told=float(np.median(self._told)) if self._told else None,
             first=tuple(float(speed) for speed in speeds[:3]),
         )
@@ -107,13 +108,13 @@ def _scatter(stamps_ns: Array, v: Array) -> Array | None:
 
     The median leaves turns and changes of speed out, which are rare.
     """
-    if len(v) < 10 * ORDER:
+    if len(v) <= ORDER:
         return None
     steps = np.diff(stamps_ns)
     usual = np.abs(steps - np.median(steps)) < 0.2 * np.median(steps)
     regular = usual[2:] & usual[1:-1] & usual[:-2]
     sizes = np.abs(np.diff(v, n=ORDER, axis=0))[regular]
-    if len(sizes) < 10:
+    if len(sizes) < FEWEST:
         return None
     sigma = np.median(sizes, axis=0) / MEDIAN / np.sqrt(comb(2 * ORDER, ORDER))
     return np.asarray(sigma)

@@ -3,6 +3,7 @@
 A recording is usable when nothing is wrong with it that only its driver can mend.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -54,3 +55,8 @@ def settings_of(found: Sequence[Finding]) -> dict[str, dict[str, Any]]:
         for node, values in finding.settings.items():
             settings.setdefault(node, {}).update(values)
     return settings
+
+
+def right_angles(rpy: Sequence[float]) -> tuple[float, ...]:
+    """The right angles that are nearest to roll, pitch, yaw [rad]: as most sensors are mounted."""
+    return tuple(round(round(2.0 * x / math.pi) * math.pi / 2.0, 4) + 0.0 for x in rpy)

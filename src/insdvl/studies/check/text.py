@@ -13,7 +13,7 @@ from insdvl.studies.check.inspection import Inspection
 from insdvl.studies.report.parameter_page import yaml_value
 
 WIDTH = 80
-_NAME = 28  # of a topic; a longer one has a line of its own
+_NAME, _TYPE = 24, 26  # of a topic; a longer name has a line of its own
 
 
 def text_of(name: str, seen: Inspection, found: Sequence[Finding]) -> str:
@@ -60,7 +60,7 @@ def wrapped(text: str, first: str, others: str) -> list[str]:
 def _table(seen: Inspection) -> Iterable[str]:
     """The topics: name, type, number of messages, rate, use."""
     uses = seen.sensors.uses
-    yield f"    {'topic':{_NAME}} {'type':22} {'count':>8} {'Hz':>7}  use"
+    yield f"    {'topic':{_NAME}} {'type':{_TYPE}} {'count':>8} {'Hz':>6}  use"
     for name, topic in sorted(seen.topics.items()):
         stamps = seen.stamps.get(name)
         rate = stamps.rate if stamps is not None else None
@@ -71,7 +71,7 @@ def _table(seen: Inspection) -> Iterable[str]:
             yield f"    {name}"
             name = ""
         kind, shown = topic.type.rpartition("/")[2], f"{rate:.4g}" if rate else ""
-        yield f"    {name:{_NAME}} {kind:22} {topic.size:8} {shown:>7}  {use}".rstrip()
+        yield f"    {name:{_NAME}} {kind:{_TYPE}} {topic.size:8} {shown:>6}  {use}".rstrip()
 
 
 def _clock(seconds: float) -> str:

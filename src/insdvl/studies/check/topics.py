@@ -10,7 +10,7 @@ from insdvl.recordings.bag_reader import RecordedTopic
 from insdvl.recordings.parameters import ReplayParameters
 
 #: Ends of the names of topics that filters, tuners and simulators publish: they are no sensors.
-_NOT_SENSORS = ("process_noise", "bias", "filtered", "truth", "cmd_vel", "set_odometry")
+_NOT_SENSORS = ("process_noise", "bias", "filtered", "cmd_vel", "set_odometry")
 
 
 def dvl_rows() -> tuple[Topic, ...]:
@@ -48,7 +48,7 @@ class Sensors:
             (self.dvl, "DVL"),
             (self.pressure, "depth"),
             (self.fix, "fix"),
-            (self.odometry, "odometry"),
+            (self.odometry, "odom"),
         )
         return {topic: use for topic, use in pairs if topic}
 
@@ -80,7 +80,7 @@ def sensors_of(
         dvl_row=next((row for row in rows if dvl and topics[dvl].type in row.types), None),
         pressure=chosen([depth.PRESSURE], "press", "/" + filter_.depth.topic.lstrip("/")),
         fix=chosen([convert.FIX], "fix", replay.fix_topic),
-        odometry=chosen([convert.ODOMETRY], "odom", replay.ground_truth_topic),
+        odometry=chosen([convert.ODOMETRY], "truth", replay.ground_truth_topic),
         rivals=tuple(
             name
             for name, topic in topics.items()

@@ -8,7 +8,7 @@ import numpy as np
 
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.simulation.grades import GRADES, Grade
-from insdvl.studies.check.findings import FILTER, REPLAY, Finding, settings_of
+from insdvl.studies.check.findings import FILTER, REPLAY, Finding, right_angles, settings_of
 from insdvl.studies.check.inspection import Inspection
 from insdvl.studies.report.parameter_page import yaml_value
 
@@ -48,7 +48,10 @@ def parameter_file(name: str, seen: Inspection, found: Sequence[Finding]) -> str
     lines = {line.name: line for line in _filter(seen)}
     for key, value in mended.items():
         if not key.startswith("process_noise."):  # told below for each axis
-            lines[key] = Line(key, value, f"{CHECK}: as the recording shows, see `insdvl check`")
+            why = f"{CHECK}: as `insdvl check` tells"
+            if key.endswith("mount"):
+                why += f"; at right angles it were {yaml_value(right_angles(value))}"
+            lines[key] = Line(key, value, why)
     text = _HEADER.format(name=name)
     for node, rows in ((FILTER, lines.values()), (REPLAY, _replay(seen))):
         text += f"/**/{node}:\n  ros__parameters:\n"
@@ -63,11 +66,10 @@ def _filter(seen: Inspection) -> Iterator[Line]:
     imu, dvl, orientation = seen.imu, seen.dvl, seen.orientation
     assert imu is not None and dvl is not None and orientation is not None
     rate = p.imu.rate
-    yield Line(
-        "frame_convention",
-        p.frame_convention,
-        f"the mean force along z is {imu.mean[2]:+.2f} m/s^2",
-    )
+    up = f"the mean specific force along z is {imu.mean[2]:+.2f} m/s^2"
+    if "imu.mount" in seen.found:
+        up = f"{CHECK}: gravity is on another axis than z"
+    yield Line("frame_convention", p.frame_convention, up)
     yield Line("origin.latitude_deg", p.origin.latitude_deg, f"{CHECK}: to a degree")
     yield Line("imu.rate", rate, "Hz, by the stamps")
     yield Line("imu.mount", p.imu.mount, f"{CHECK}: roll, pitch, yaw, rad")
@@ -118,3 +120,5 @@ def _replay(seen: Inspection) -> Iterator[Line]:
     yield Line("imu_topic", sensors.imu, "sensor_msgs/msg/Imu")
     name = sensors.dvl_row.replay_parameter
     yield Line(name, sensors.dvl, seen.topics[sensors.dvl].type)
+    if sensors.odometry:
+        yield Line("ground_truth_topic", sensors.odometry, f"{CHECK}: a reference, for the errors")

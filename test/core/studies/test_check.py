@@ -1,0 +1,307 @@
+"""`insdvl check`: what is wrong with a recording is named, with what mends it."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from looked_at import START_NS, TURNED, Memory, flown, raws_of
+from recordings import save
+
+from insdvl import cli
+from insdvl.messages.convert import FIX
+from insdvl.messages.depth import PRESSURE
+from insdvl.navigation.events import NS
+from insdvl.navigation.measurements.dvl import Dvl
+from insdvl.navigation.parameters import FilterParameters
+from insdvl.parameters.declaration import build
+from insdvl.recordings.bag_reader import BagReader
+from insdvl.recordings.base import Raw, decode, encode, new_message
+from insdvl.recordings.parameters import ReplayParameters
+from insdvl.simulation.mission import Mission
+from insdvl.studies.check.answers import answers
+from insdvl.studies.check.dvl import DvlLog
+from insdvl.studies.check.findings import (
+    AXES,
+    FIT,
+    HEADING,
+    NEEDED,
+    PINGS,
+    SAMPLES,
+    STAMPS,
+    START,
+    Finding,
+    is_usable,
+    settings_of,
+)
+from insdvl.studies.check.inspection import Inspection, inspect
+from insdvl.studies.check.stamps import StampLog
+from insdvl.studies.check.text import text_of
+
+SHORT = 25.0  # s, with two blocks of gravity
+NOISE = {
+    "process_noise.accelerometer_variance": (9.6e-05,) * 3,
+    "process_noise.gyroscope_variance": (8.5e-08,) * 3,
+}
+TOPICS = ReplayParameters(imu_topic="/imu", dvl_topic="/dvl")
+
+
+def looked_at(raws: list[Raw], *, adapt: bool = True, **parameters: Any) -> Inspection:
+    filter_ = build(FilterParameters, NOISE | parameters)
+    return inspect(cast(BagReader, Memory(raws)), filter_, TOPICS, adapt=adapt)
+
+
+def said(raws: list[Raw], **parameters: Any) -> list[Finding]:
+    return answers(looked_at(raws, **parameters))
+
+
+def texts(found: list[Finding], question: str) -> str:
+    return " ".join(finding.text for finding in found if finding.question == question)
+
+
+def wrong(found: list[Finding]) -> list[str]:
+    return [finding.text for finding in found if finding.wrong]
+
+
+@pytest.fixture(scope="module")
+def mission() -> Mission:
+    return flown(SHORT)
+
+
+@pytest.fixture(scope="module")
+def raws(mission: Mission) -> list[Raw]:
+    return raws_of(mission)
+
+
+# ---------------------------------------------------------------- a good one
+
+
+def test_nothing_is_wrong_with_a_good_recording(raws: list[Raw]) -> None:
+    seen = looked_at(raws)
+    found = answers(seen)
+    assert wrong(found) == []
+    assert is_usable(found)
+    assert settings_of(found) == {}
+    assert "100 Hz without gaps" in texts(found, STAMPS)
+    assert "+9.7" in texts(found, AXES)
+    assert texts(found, START).startswith("Yes, the DVL reads 1.0")
+    assert "unknown until the motion shows it" in texts(found, HEADING)
+    assert "5 stretches of 20 s" in texts(found, FIT)  # it is too short for the alignment
+    sigma = np.sqrt([*NOISE["process_noise.accelerometer_variance"], *[8.5e-08] * 3])
+    assert seen.imu is not None
+    np.testing.assert_allclose(np.sqrt(seen.imu.variance), sigma, rtol=0.1)
+
+
+def test_the_text_has_80_columns_and_every_question(raws: list[Raw]) -> None:
+    long = [raw._replace(topic="/vehicle/sensors/inertial/raw") for raw in raws[:9]]
+    seen = looked_at([*raws[:500], *long])
+    found = answers(seen)
+    lines = text_of("dive", seen, found).splitlines()
+    assert max(map(len, lines)) <= 80
+    assert {finding.question for finding in found} <= set(lines)
+    assert lines[-1].strip() == "Yes."
+
+
+def test_sensors_on_other_topics_are_found_by_their_types(raws: list[Raw]) -> None:
+    names = {"/imu": "/auv/imu/raw", "/dvl": "/auv/dvl/twist"}
+    moved = [raw._replace(topic=names.get(raw.topic, raw.topic)) for raw in raws]
+    command = [raw._replace(topic="/cmd_vel") for raw in raws if raw.topic == "/dvl"]
+    found = said(moved + command + command)
+    assert settings_of(found) == {
+        "insdvl_replay": {"imu_topic": "/auv/imu/raw", "dvl_topic": "/auv/dvl/twist"}
+    }
+    assert is_usable(found)
+
+
+# ---------------------------------------------------------------- what no parameter mends
+
+
+def test_without_a_dvl_it_is_not_usable(raws: list[Raw]) -> None:
+    found = said([raw for raw in raws if raw.topic != "/dvl"])
+    assert not is_usable(found)
+    assert "No topic has a type of a DVL" in texts(found, NEEDED)
+
+
+def test_without_an_imu_it_is_not_usable(raws: list[Raw]) -> None:
+    found = said([raw for raw in raws if raw.topic != "/imu"])
+    assert not is_usable(found)
+    assert "needs an IMU" in texts(found, NEEDED)
+
+
+def test_a_dvl_in_millimetres_is_named(mission: Mission) -> None:
+    found = said(raws_of(replace(mission, v_d=1000.0 * mission.v_d)))
+    assert not is_usable(found)
+    assert "the unit is mm/s" in texts(found, PINGS)
+
+
+def test_accelerometers_in_g_are_not_usable(mission: Mission) -> None:
+    found = said(raws_of(replace(mission, f_b=mission.f_b / 9.81)))
+    assert not is_usable(found)
+    assert "wrong unit, or gravity was removed" in texts(found, AXES)
+
+
+@pytest.mark.long
+def test_a_gyroscope_in_degrees_is_named() -> None:
+    mission = flown(125.0)
+    found = said(raws_of(replace(mission, w_ib_b=np.degrees(mission.w_ib_b))))
+    assert not is_usable(found)
+    assert "the gyroscope is in deg/s" in texts(found, FIT)
+
+
+def test_clocks_that_do_not_meet_are_named(raws: list[Raw]) -> None:
+    later = []
+    for raw in raws:
+        if raw.topic == "/dvl":
+            message = decode(raw).message
+            message.header.stamp.sec += 3600
+            raw = encode(raw.topic, raw.time_ns, message)
+        later.append(raw)
+    found = said(later)
+    assert not is_usable(found)
+    assert "other clocks" in texts(found, STAMPS)
+
+
+# ---------------------------------------------------------------- what a parameter mends
+
+
+@pytest.mark.long
+def test_a_turned_dvl_is_named_with_its_mount(tmp_path: Path) -> None:
+    """Forward is to port of the instrument; in a recording on disk, by the command itself."""
+    mission = flown(125.0)
+    bag = save(tmp_path / "turned", raws_of(replace(mission, v_d=mission.v_d @ TURNED.T)))
+    out = tmp_path / "check.json"
+    assert cli.main(["check", str(bag), "--json", str(out)]) == 0
+    document = json.loads(out.read_text())
+    assert document["usable"]
+    roll, pitch, yaw = document["set"]["insdvl_filter"]["dvl.mount"]
+    assert np.hypot(roll, pitch) < 0.2
+    # In forward-left-up the instrument that was turned to starboard has a negative yaw. Two
+    # minutes tell it to 7 deg, one sigma.
+    assert yaw == pytest.approx(-np.pi / 2, abs=np.radians(21.0))
+    fit, angles = [f["text"] for f in document["findings"] if f["question"] == FIT]
+    assert "the DVL is turned about z" in fit
+    assert "dvl.mount is [0.0, 0.0, -1.5708]" in angles
+
+
+def test_the_other_frame_convention_is_told(mission: Mission) -> None:
+    """As it comes it is taken from gravity; where a file tells the wrong one, that is said."""
+    flip = np.diag([1.0, -1.0, -1.0])
+    ned = replace(
+        mission, f_b=mission.f_b @ flip, w_ib_b=mission.w_ib_b @ flip, v_d=mission.v_d @ flip
+    )
+    found = said(raws_of(ned))
+    assert is_usable(found)
+    assert settings_of(found) == {"insdvl_filter": {"frame_convention": "ned"}}
+    told = said(raws_of(ned), adapt=False)
+    assert "gravity has the wrong sign along z" in texts(told, AXES)
+    assert settings_of(told) == {"insdvl_filter": {"frame_convention": "ned"}}
+
+
+def test_an_imu_on_its_side_is_told_with_its_mount(mission: Mission) -> None:
+    C_b_i = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    side = replace(mission, f_b=mission.f_b @ C_b_i, w_ib_b=mission.w_ib_b @ C_b_i)
+    settings = settings_of(said(raws_of(side)))["insdvl_filter"]
+    roll, pitch, yaw = settings["imu.mount"]
+    assert abs(roll) == pytest.approx(np.pi / 2, abs=0.15)
+    assert abs(pitch) < 0.15
+    assert abs(yaw) < 0.15
+
+
+def test_a_latitude_is_taken_from_a_fix_and_a_depth_from_a_pressure(raws: list[Raw]) -> None:
+    fix, pressure = new_message(FIX), new_message(PRESSURE)
+    fix.latitude, fix.longitude = 59.9, 10.7
+    pressure.fluid_pressure = 2e5
+    for message in (fix, pressure):
+        message.header.stamp.sec = START_NS // NS
+    others = [encode("/fix", START_NS, fix), encode("/ctd/pressure", START_NS, pressure)]
+    found = said([*others, *raws[:100]])
+    assert settings_of(found) == {
+        "insdvl_filter": {"depth.topic": "ctd/pressure", "origin.latitude_deg": 59.9}
+    }
+
+
+# ---------------------------------------------------------------- samples and stamps
+
+
+def test_gaps_are_counted(raws: list[Raw]) -> None:
+    def is_lost(raw: Raw) -> bool:
+        since = (raw.time_ns - START_NS) / NS
+        return raw.topic == "/imu" and (5.0 < since < 6.0 or 12.0 < since < 12.5)
+
+    found = said([raw for raw in raws if not is_lost(raw)])
+    assert "2 gaps, 1.5 s together, the longest 1 s" in texts(found, STAMPS)
+    assert is_usable(found)
+
+
+def test_stamps_that_repeat_go_back_or_are_unset_are_counted() -> None:
+    log = StampLog()
+    for stamp in (10, 20, 20, 15, 0, 30):
+        log.add(stamp * NS // 10, 5 * NS)
+    facts = log.facts()
+    assert (facts.count, facts.unset, facts.repeated, facts.backward) == (6, 1, 1, 1)
+    assert StampLog().facts().rate is None
+
+
+def test_latency_is_the_time_of_recording_less_the_stamp(raws: list[Raw]) -> None:
+    raws = raws[:200]
+    late = [raw._replace(time_ns=raw.time_ns + 12_000_000) for raw in raws]
+    assert "recorded 12.0 ms after its stamps" in texts(said(late), STAMPS)
+    early = [raw._replace(time_ns=raw.time_ns - 12_000_000) for raw in raws]
+    assert "the clock of the sensor is ahead" in texts(said(early), STAMPS)
+
+
+def test_a_saturated_channel_is_named_with_its_range(mission: Mission) -> None:
+    f = mission.f_b.copy()
+    f[500:520, 0] += 40.0
+    found = said(raws_of(replace(mission, f_b=np.minimum(f, 19.6))))
+    assert "f_x is saturated: it stands at 19.6 m/s^2" in texts(found, SAMPLES)
+    assert settings_of(found)["insdvl_filter"]["imu.acceleration_range"] == 19.6
+    assert is_usable(found)
+
+
+def test_glitches_zeros_and_frozen_channels_are_counted(mission: Mission) -> None:
+    f, w = mission.f_b.copy(), mission.w_ib_b.copy()
+    f[700, 2] += 60.0
+    f[900], w[900] = 0.0, 0.0
+    w[1000:1300, 1] = w[1000, 1]
+    found = texts(said(raws_of(replace(mission, f_b=f, w_ib_b=w))), SAMPLES)
+    assert "1 of 2500 samples with a specific force of exactly zero" in found
+    assert "1 of 2500 samples with a reading that leaves its neighbours" in found
+    assert "201 of 2500 samples with a frozen channel" in found
+
+
+def test_the_scatter_of_the_dvl_is_its_noise() -> None:
+    """In a turn that takes a minute; one sigma of the median of 500 is 6 %."""
+    log, rng = DvlLog(10.0, np.eye(3)), np.random.default_rng(3)
+    for k in range(500):
+        v = np.array([1.0, 0.1 * np.sin(k / 10.0), 0.0]) + 0.02 * rng.standard_normal(3)
+        log.add(Dvl((k + 1) * NS, v))
+    scatter = log.facts().scatter
+    assert scatter is not None
+    np.testing.assert_allclose(scatter, 0.02, rtol=0.2)
+
+
+def test_a_lost_lock_is_counted(mission: Mission) -> None:
+    v = mission.v_d.copy()
+    v[5:9] = 0.0
+    v[15:18] = v[15]
+    found = texts(said(raws_of(replace(mission, v_d=v))), PINGS)
+    assert "4 of 25 are exactly zero" in found
+    assert "2 of 25 repeat the one before" in found
+
+
+# ---------------------------------------------------------------- the command
+
+
+def test_exit_codes_and_json_on_the_terminal(
+    raws: list[Raw], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = save(tmp_path / "no_dvl", [raw for raw in raws[:500] if raw.topic != "/dvl"])
+    assert cli.main(["check", str(bag), "--json", "-"]) == 1
+    document = json.loads(capsys.readouterr().out)
+    assert not document["usable"]
+    assert document["topics"]["/imu"]["use"] == "IMU"
+    assert cli.main(["check", str(tmp_path / "none")]) == 2
+    assert "does not exist" in capsys.readouterr().err

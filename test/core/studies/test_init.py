@@ -1,0 +1,92 @@
+"""`insdvl init`: the file is read by `insdvl replay`, and holds what the recording tells."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from looked_at import flown, raws_of
+from recordings import save
+
+from insdvl import cli
+from insdvl.navigation.parameters import FilterParameters
+from insdvl.parameters.declaration import flatten
+from insdvl.parameters.sections import load_section
+from insdvl.recordings.parameters import ReplayParameters
+from insdvl.simulation.grades import GRADES
+from insdvl.studies.init.template import CHECK
+from insdvl.studies.report.parameter_page import TO_SET
+
+SECONDS = 25.0
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return save(tmp_path_factory.mktemp("bags") / "dive", raws_of(flown(SECONDS)))
+
+
+@pytest.fixture(scope="module")
+def written(bag: Path) -> Path:
+    path = bag.parent / "my.yaml"
+    assert cli.main(["init", str(bag), "-o", str(path)]) == 0
+    return path
+
+
+def test_it_has_the_ten_that_matter_in_some_25_lines(written: Path) -> None:
+    text = written.read_text()
+    assert 20 <= len(text.splitlines()) <= 30
+    assert [name for name in TO_SET if f"    {name}: " not in text] == []
+    rows = re.findall(r"^    (\S+: .+)$", text, re.MULTILINE)
+    assert [row for row in rows if " # " not in row] == []
+    assert "dvl.lever_arm: [0.0, 0.0, 0.0]  " in text
+    assert re.search(rf"dvl\.lever_arm: .* # {CHECK}: ", text)
+
+
+def test_it_is_filled_from_the_recording(written: Path) -> None:
+    parameters = load_section(written, "insdvl_filter", FilterParameters)
+    values = flatten(parameters)
+    tactical = GRADES["tactical"]
+    sigma = np.sqrt(tactical.variances())
+    np.testing.assert_allclose(
+        np.sqrt(values["process_noise.accelerometer_variance"]), sigma[:3], rtol=0.1
+    )
+    np.testing.assert_allclose(
+        np.sqrt(values["process_noise.gyroscope_variance"]), sigma[3:], rtol=0.1
+    )
+    assert values["initial.gyroscope_bias_std"] == pytest.approx(tactical.gyroscope_bias, rel=0.02)
+    assert values["frame_convention"] == "enu"
+    assert values["imu.rate"] == 100.0
+    assert 0.01 < values["dvl.noise_std"][0] < 0.04
+    replay = load_section(written, "insdvl_replay", ReplayParameters)
+    assert (replay.imu_topic, replay.dvl_topic) == ("/imu", "/dvl")
+    assert replay.ground_truth_topic == "/truth"
+
+
+def test_replay_navigates_with_it(bag: Path, written: Path, tmp_path: Path) -> None:
+    numbers = tmp_path / "numbers.json"
+    arguments = ["replay", str(bag), "--config", str(written), "--json", str(numbers)]
+    assert cli.main(arguments) == 0
+    document = json.loads(numbers.read_text())
+    assert document["dvl_accepted"] >= SECONDS - 2
+    assert document["body_velocity_rmse"] < 0.1
+    assert document["frames"] == []
+
+
+def test_an_existing_file_is_left_alone(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text("mine")
+    assert cli.main(["init", str(bag), "-o", str(path)]) == 2
+    assert "exists already and is not overwritten" in capsys.readouterr().err
+    assert path.read_text() == "mine"
+
+
+def test_nothing_is_written_of_what_is_not_usable(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = save(tmp_path / "no_dvl", [r for r in raws_of(flown(3.0)) if r.topic != "/dvl"])
+    assert cli.main(["init", str(bag), "-o", str(tmp_path / "my.yaml")]) == 1
+    assert "No topic has a type of a DVL" in capsys.readouterr().err
+    assert not (tmp_path / "my.yaml").exists()

@@ -1,0 +1,155 @@
+"""The frame of the command: what it says without running anything, and how it ends."""
+
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from insdvl import cli, commands
+from insdvl.commands import COMMANDS, overview, parser_of, whole_parser
+from insdvl.simulation import noise
+from insdvl.simulation.trajectories import AUV
+from insdvl.studies.consistency import arguments as of_consistency
+from insdvl.studies.consistency.page import STUDIES
+from insdvl.studies.evaluation import approaches
+from insdvl.studies.evaluation import arguments as of_evaluation
+from insdvl.studies.results import arguments as of_results
+from insdvl.studies.results.command import PARTS
+from insdvl.studies.training import arguments as of_training
+from insdvl.studies.training.command import PRESETS
+from insdvl.studies.training.dataset import WINDOW
+
+HEAVY = {"joblib", "matplotlib", "numba", "numpy", "rosbags", "scipy", "sklearn", "torch", "yaml"}
+LOOK = """
+import contextlib, io, sys
+from insdvl.cli import main
+for words in {calls}:
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        with contextlib.suppress(SystemExit):
+            main(words)
+print(*{{name.partition(".")[0] for name in sys.modules}})
+"""
+
+
+def loaded(calls: list[list[str]], folder: Path) -> set[str]:
+    """The packages that some calls load, all in one interpreter."""
+    result = subprocess.run(
+        [sys.executable, "-c", LOOK.format(calls=calls)], cwd=folder, capture_output=True, text=True
+    )
+    assert result.returncode == 0, result.stderr
+    return set(result.stdout.split())
+
+
+def test_helps_and_wrong_calls_load_nothing_heavy(tmp_path: Path) -> None:
+    calls = [[], ["--help"], ["--version"], ["fly"], *([name, "--help"] for name in COMMANDS)]
+    calls += [[name, "--no-such-option"] for name in COMMANDS] + [["replay"], ["train", "--seed"]]
+    found = loaded(calls, tmp_path)
+    assert found & HEAVY == set()
+    assert "insdvl" in found
+    assert loaded([["models"]], tmp_path) & HEAVY >= {"numpy"}  # the test can fail
+
+
+def test_alone_it_says_in_12_lines_what_one_can_do(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main([]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) <= 12
+    assert max(map(len, lines)) <= 80
+    assert [name for name in COMMANDS if name not in overview()] == []
+
+
+def examples_of(name: str) -> list[list[str]]:
+    """The words of the examples in a help, behind `insdvl NAME`."""
+    lines = [line.strip() for line in parser_of(name).format_help().splitlines()]
+    calls = [line.removeprefix("insdvl ") for line in lines if line.startswith("insdvl ")]
+    return [commands_of_shell(call)[1:] for call in calls if call.split()[0] == name]
+
+
+def commands_of_shell(line: str) -> list[str]:
+    """The words of the first command of a line, without what follows for the shell."""
+    words = shlex.split(line)
+    ends = [k for k, word in enumerate(words) if word in ("&&", ">", "|")]
+    return words[: min(ends, default=len(words))]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_help_has_two_examples_that_parse_and_the_exit_codes(name: str) -> None:
+    examples = examples_of(name)
+    assert len(examples) >= 2
+    for words in examples:
+        parser_of(name).parse_args(words)
+    assert "exit code: 0 done" in parser_of(name).format_help()
+
+
+@pytest.mark.parametrize("name", [name for name, c in COMMANDS.items() if c.goal])
+def test_the_examples_of_the_overview_parse(name: str) -> None:
+    parser_of(name).parse_args(COMMANDS[name].example.split())
+
+
+def test_a_wrong_command_is_told_with_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["repaly", "dive"]) == 2
+    error = capsys.readouterr().err
+    assert "unknown command 'repaly'; did you mean replay?" in error
+    assert cli.main(["--verison"]) == 2
+    assert "unknown option '--verison'" in capsys.readouterr().err
+
+
+def test_all_wrong_options_are_told_with_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["evaluate", "--scenaro", "wide", "--jsn=x.json", "--runs", "3"])
+    assert ended.value.code == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == [
+        "insdvl evaluate: unknown option --scenaro; did you mean --scenario?",
+        "insdvl evaluate: unknown option --jsn; did you mean --json?",
+        "See insdvl evaluate --help.",
+    ]
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["replay"])
+    assert ended.value.code == 2
+    assert "required: BAG, --config, --json" in capsys.readouterr().err
+
+
+def test_an_interruption_ends_with_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(_: object) -> int:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, "resolve_name", lambda name: interrupted)
+    assert cli.main(["doctor"]) == 130
+    assert cli.main(["evaluate", "--json", "x.json"]) == 130
+    assert capsys.readouterr().err.splitlines() == [
+        "insdvl doctor: interrupted",
+        "insdvl evaluate: interrupted; finished parts are kept, run it again",
+    ]
+
+
+def test_a_reader_that_has_seen_enough_is_no_error(tmp_path: Path) -> None:
+    code = "import sys; from insdvl.cli import main; sys.exit(main(['params']))"
+    result = subprocess.run(
+        ["bash", "-o", "pipefail", "-c", f'"$0" -c "{code}" | head -n 1', sys.executable],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+    )
+    assert (result.returncode, result.stderr) == (0, "")
+    assert result.stdout == "insdvl_filter:\n"
+
+
+def test_names_in_arguments_are_those_of_the_modules() -> None:
+    assert tuple(noise.SCENARIOS) == of_evaluation.SCENARIOS
+    assert tuple(approaches.PRESETS) == of_evaluation.PRESETS
+    assert of_evaluation.ROWS == approaches.ROWS
+    assert AUV.duration == of_evaluation.DURATION
+    assert of_results.PARTS == PARTS
+    assert tuple(PRESETS) == of_training.PRESETS
+    assert of_training.WINDOW == WINDOW
+    assert tuple(study.name for study in STUDIES) == of_consistency.STUDIES
+
+
+def test_the_whole_parser_has_every_command() -> None:
+    parsed = whole_parser().parse_args(["check", "dive", "--json", "-"])
+    assert (parsed.command, str(parsed.bag)) == ("check", "dive")
+    assert commands.nearest("chekc", COMMANDS) == "; did you mean check?"
