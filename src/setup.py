@@ -26,7 +26,8 @@ setup(
     # What runs on a vehicle needs no more than this.
     install_requires=["numba", "numpy", "pyyaml", "scipy"],
     extras_require={
-        "bags": ["lz4", "rosbags"],  # insdvl replay
+        "bags": ["lz4", "rosbags"],  # insdvl check, init and replay
+        "cli": ["shtab"],  # insdvl completion
         "dask": ["dask", "distributed"],  # --backend dask
         "dnn": ["onnx", "torch"],  # insdvl train --preset dnn
         "jobs": ["joblib", "threadpoolctl"],  # insdvl evaluate, train and results

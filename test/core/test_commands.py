@@ -47,8 +47,7 @@ def test_helps_and_wrong_calls_load_nothing_heavy(tmp_path: Path) -> None:
     calls += [[name, "--no-such-option"] for name in COMMANDS] + [["replay"], ["train", "--seed"]]
     found = loaded(calls, tmp_path)
     assert found & HEAVY == set()
-    assert "insdvl" in found
-    assert loaded([["models"]], tmp_path) & HEAVY >= {"numpy"}  # the test can fail
+    assert {"insdvl", "argparse"} <= found
 
 
 def test_alone_it_says_in_12_lines_what_one_can_do(capsys: pytest.CaptureFixture[str]) -> None:
@@ -126,16 +125,20 @@ def test_an_interruption_ends_with_one_line(
     ]
 
 
-def test_a_reader_that_has_seen_enough_is_no_error(tmp_path: Path) -> None:
-    code = "import sys; from insdvl.cli import main; sys.exit(main(['params']))"
-    result = subprocess.run(
-        ["bash", "-o", "pipefail", "-c", f'"$0" -c "{code}" | head -n 1', sys.executable],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-    )
-    assert (result.returncode, result.stderr) == (0, "")
-    assert result.stdout == "insdvl_filter:\n"
+def test_a_reader_that_has_seen_enough_is_no_error(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """As in `insdvl params | head`: what is left goes nowhere, also when Python ends."""
+
+    def broken(_: object) -> int:
+        raise BrokenPipeError
+
+    monkeypatch.setattr(cli, "resolve_name", lambda name: broken)
+    with (tmp_path / "pipe").open("w") as pipe:
+        monkeypatch.setattr(sys, "stdout", pipe)
+        assert cli.main(["params"]) == 0
+        print("more", file=pipe, flush=True)
+    assert (tmp_path / "pipe").read_text() == ""
 
 
 def test_names_in_arguments_are_those_of_the_modules() -> None:

@@ -30,6 +30,7 @@ COMES_ALONG = {"lz4", "threadpoolctl"}  # rosbags and scikit-learn need them
 ABOARD = {"numba", "numpy", "scipy", "yaml"}
 EXTRAS = {
     "bags": {"lz4", "rosbags"},
+    "cli": {"shtab"},
     "dask": {"dask", "distributed"},
     "dnn": {"onnx", "torch"},
     "jobs": {"joblib", "threadpoolctl"},
@@ -38,7 +39,7 @@ EXTRAS = {
     "train": {"joblib", "sklearn", "threadpoolctl"},
 }
 #: Imported within functions only, where an option asks for them.
-OPTIONAL = EXTRAS["dask"] | EXTRAS["dnn"] | EXTRAS["onnx"]
+OPTIONAL = EXTRAS["cli"] | EXTRAS["dask"] | EXTRAS["dnn"] | EXTRAS["onnx"]
 PYTHONS = ("3.10", "3.11", "3.12", "3.13")
 
 
@@ -241,9 +242,10 @@ def test_a_missing_package_is_told_with_its_extra(
 
 
 def test_a_command_without_its_package_is_one_sentence(tmp_path: Path) -> None:
+    call = ["replay", "bag", "--config", "a.yaml", "--json", "a.json"]
     code = "import sys; sys.modules['rosbags'] = None; from insdvl.cli import main; "
     result = subprocess.run(
-        [sys.executable, "-c", code + "sys.exit(main(['replay', 'bag']))"],
+        [sys.executable, "-c", f"{code}sys.exit(main({call}))"],
         cwd=tmp_path,
         capture_output=True,
         text=True,

@@ -266,7 +266,9 @@ def _samples(seen: Inspection) -> Iterator[Finding]:
         )
         settings = _noise(seen)
         if settings:
-            yield _setting(SAMPLES, "process_noise is more than 3 times off that sigma.", settings)
+            yield _setting(
+                SAMPLES, "process_noise tells a sigma that is more than 3 times off.", settings
+            )
 
 
 def _noise(seen: Inspection) -> dict[str, tuple[float, ...]]:
