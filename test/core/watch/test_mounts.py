@@ -124,6 +124,8 @@ def is_named(case: str, grade: str, duration: float) -> None:
     assert f"set {parameter} to" in first, finding
     value = numbers(first.partition("set ")[2])
     assert value[: len(values)] == pytest.approx(values, abs=tolerance)
+    setting = check.remedies[0].settings[parameter]
+    assert list(setting[: len(values)]) == pytest.approx(values, abs=tolerance)
 
 
 @pytest.mark.parametrize("case", QUICK)
@@ -170,6 +172,7 @@ def test_stamps_that_are_late_are_measured_where_the_speed_changes() -> None:
     check = check_of("fog")
     for event in events(mission_of("fog", trajectory=waves), late=0.19):
         check.add(event)
+    check.finish()  # all windows at once, as at the end of a recording
     found = check.alignment()
     assert found is not None
     assert found.time_offset == pytest.approx(-0.19, abs=0.05)
@@ -177,6 +180,8 @@ def test_stamps_that_are_late_are_measured_where_the_speed_changes() -> None:
     (finding,) = check.findings()
     assert finding.startswith("the stamps of the DVL are 0.1") or "are 0.2" in finding
     assert "late: set dvl.time_offset to -0." in finding
+    assert check.remedies[0].settings["dvl.time_offset"] == pytest.approx(-0.19, abs=0.05)
+    assert check.windows == 14
 
 
 def test_a_straight_track_tells_nothing_of_a_wrong_mount() -> None:
