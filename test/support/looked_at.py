@@ -12,6 +12,7 @@ from insdvl.recordings.base import Raw
 from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.grades import GRADES
 from insdvl.simulation.mission import Mission, simulate
+from insdvl.simulation.motion import Trajectory
 from insdvl.simulation.noise import constant
 from insdvl.simulation.trajectories import AUV
 
@@ -20,11 +21,11 @@ START_NS = 1_700_000_000 * 10**9
 TURNED = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
-def flown(duration: float, **changes: Any) -> Mission:
-    """The AUV with a tactical IMU and a good DVL."""
+def flown(duration: float, trajectory: Trajectory = AUV, **changes: Any) -> Mission:
+    """A vehicle with a tactical IMU and a good DVL."""
     grade = GRADES["tactical"]
     mission = simulate(
-        AUV,
+        trajectory,
         constant(grade.variances()),
         seed=1,
         duration=duration,

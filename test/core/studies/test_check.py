@@ -18,9 +18,10 @@ from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build
 from insdvl.recordings.bag_reader import BagReader
-from insdvl.recordings.base import Raw, decode, encode, new_message
+from insdvl.recordings.base import Raw, decode, encode, new_message, typestore
 from insdvl.recordings.parameters import ReplayParameters
 from insdvl.simulation.mission import Mission
+from insdvl.simulation.trajectories import STATIC
 from insdvl.studies.check.answers import answers
 from insdvl.studies.check.dvl import DvlLog
 from insdvl.studies.check.findings import (
@@ -136,9 +137,15 @@ def test_a_dvl_in_millimetres_is_named(mission: Mission) -> None:
     assert "the unit is mm/s" in texts(found, PINGS)
 
 
-def test_accelerometers_in_g_are_not_usable(mission: Mission) -> None:
-    found = said(raws_of(replace(mission, f_b=mission.f_b / 9.81)))
+@pytest.mark.parametrize("factor", [1 / 9.81, 0.0])
+def test_accelerometers_in_g_or_without_gravity_are_not_usable(
+    mission: Mission, factor: float
+) -> None:
+    rng = np.random.default_rng(2)
+    f = factor * mission.f_b + 0.01 * rng.standard_normal(mission.f_b.shape)
+    found = said(raws_of(replace(mission, f_b=f)))
     assert not is_usable(found)
+    assert "frame_convention" not in str(settings_of(found))
     assert "wrong unit, or gravity was removed" in texts(found, AXES)
 
 
@@ -220,6 +227,42 @@ def test_a_latitude_is_taken_from_a_fix_and_a_depth_from_a_pressure(raws: list[R
     assert settings_of(found) == {
         "insdvl_filter": {"depth.topic": "ctd/pressure", "origin.latitude_deg": 59.9}
     }
+
+
+# ---------------------------------------------------------------- start and heading
+
+
+def test_a_rest_at_the_start_is_told(mission: Mission) -> None:
+    still = flown(3.0, STATIC)
+    assert texts(said(raws_of(still)), START).startswith("No, the DVL reads 0.0")
+    rng = np.random.default_rng(1)
+    shaken = still.f_b + np.repeat(rng.normal(0.0, 0.3, (100, 3)), 3, axis=0)[: len(still.f_b)]
+    found = said(raws_of(replace(still, f_b=shaken)))
+    assert texts(found, START).startswith("It stays, but vibrates")
+
+
+@pytest.mark.parametrize(
+    ("quaternion", "variance", "text"),
+    [
+        ((0.0, 0.0, 0.0, 1.0), 0.0004, "From the orientation of the IMU, one sigma 1.1 deg."),
+        ((0.0, 0.0, 0.0, 1.0), 0.0, "The IMU has an orientation of unknown covariance."),
+        ((0.71, 0.0, 0.0, 0.71), 0.0004, "in other axes than its force: not used."),
+        ((0.0, 0.0, 0.0, 1.0), -1.0, "No sensor is known to tell it"),
+    ],
+)
+def test_an_orientation_tells_the_heading_where_it_can(
+    raws: list[Raw], quaternion: tuple[float, ...], variance: float, text: str
+) -> None:
+    told = []
+    for raw in raws[:200]:
+        if raw.topic == "/imu":
+            message = typestore().deserialize_cdr(raw.data, raw.type)
+            q = message.orientation
+            q.x, q.y, q.z, q.w = quaternion
+            message.orientation_covariance = np.diag([variance] * 3).ravel()
+            raw = encode(raw.topic, raw.time_ns, message)
+        told.append(raw)
+    assert text in texts(said(told), HEADING)
 
 
 # ---------------------------------------------------------------- samples and stamps

@@ -190,15 +190,14 @@ def _start(seen: Inspection) -> Iterator[Finding]:
         yield Finding(START, "Too few samples to tell.")
         return
     noise = 3.0 * max(seen.parameters.dvl.noise_std)
-    moving = start.worst > 1.0 or speed > noise
     told = f", the DVL reads {speed:.2f} m/s" if first else ""
-    if moving:
-        yield Finding(
-            START,
-            f"Yes{told}: the filter starts under way, tilt to 3 deg, and needs a DVL velocity.",
-        )
+    if start.motion > 1.0 or speed > noise:
+        text = f"Yes{told}: the filter starts under way, tilt to 3 deg, and needs a DVL velocity."
+    elif start.spread > 1.0:
+        text = f"It stays, but vibrates{told}: biases and heading are not taken from that rest."
     else:
-        yield Finding(START, f"No{told}: levelling and gyroscope biases are taken from the rest.")
+        text = f"No{told}: levelling and gyroscope biases are taken from the rest."
+    yield Finding(START, text)
 
 
 def _heading(seen: Inspection) -> Iterator[Finding]:

@@ -25,7 +25,7 @@ from insdvl.studies.check.imu import ImuFacts, ImuLog
 from insdvl.studies.check.stamps import StampFacts, StampLog
 from insdvl.studies.check.topics import STAMPED, Sensors, sensors_of
 from insdvl.watch.alignment.check import AlignmentCheck
-from insdvl.watch.alignment.gravity import ASIDE, GravityCheck
+from insdvl.watch.alignment.gravity import ASIDE, GRAVITY, WRONG_SIZE, GravityCheck
 from insdvl.watch.alignment.sentences import Remedy
 
 FIRST = 60 * NS  # of the recording, from which gravity tells the axes
@@ -112,10 +112,12 @@ def _told_by_imu(bag: BagReader, sensors: Sensors, told: FilterParameters) -> di
             found["imu.max_gap"] = float(f"{5.0 / rate:.2g}")
     mean = np.mean([sample.f_b for sample in first], axis=0)
     size = float(np.linalg.norm(mean))
-    if size and -mean[2] / size < -ASIDE:
+    if abs(size / GRAVITY - 1.0) > WRONG_SIZE:  # which is said later
+        return found
+    if -mean[2] / size < -ASIDE:
         names = [name for name in CONVENTIONS if name != parameters.frame_convention]
         found["frame_convention"] = names[0]
-    elif size and abs(mean[2]) / size < np.sqrt(1.0 - ASIDE**2):
+    elif abs(mean[2]) / size < np.sqrt(1.0 - ASIDE**2):
         check = GravityCheck(parameters.frame_convention, np.eye(3))
         for sample in first:
             check.add(sample)
