@@ -14,7 +14,7 @@ from insdvl.studies.check.answers import answers
 from insdvl.studies.check.findings import is_usable
 from insdvl.studies.check.inspection import Inspection, inspect
 from insdvl.studies.check.text import document_of, text_of
-from insdvl.studies.check.topics import STAMPED
+from insdvl.studies.check.topics import READ
 
 TERMINAL = Path("-")  # as an output file
 
@@ -41,8 +41,8 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.json != TERMINAL:
             print(text_of(str(arguments.bag), seen, found))
     except (ValueError, OSError) as error:
-        sentence = " ".join(str(error).split())  # a YAML error has several lines
-        print(f"insdvl check: {sentence}", file=sys.stderr)
+        for line in str(error).splitlines():
+            print(f"insdvl check: {line}", file=sys.stderr)
         return 2
     return 0 if is_usable(found) else 1
 
@@ -58,6 +58,6 @@ def looked_at(
     with BagReader(path) as bag:
         if not sys.stderr.isatty():
             return inspect(bag, filter_, replay, adapt=adapt)
-        size = sum(topic.size for topic in bag.topics.values() if topic.type in STAMPED)
+        size = sum(topic.size for topic in bag.topics.values() if topic.type in READ)
         with Progress("messages", size) as progress:
             return inspect(bag, filter_, replay, adapt=adapt, show=progress.show)

@@ -10,7 +10,7 @@ import numpy as np
 
 from insdvl.messages import convert
 from insdvl.messages.convert import RejectedMessage
-from insdvl.messages.topics import BY_NAME, IMU, Topic
+from insdvl.messages.topics import BY_NAME, IMU, Topic, ZeroStamp
 from insdvl.navigation.events import NS, Event, Imu
 from insdvl.navigation.geometry.frames import CONVENTIONS
 from insdvl.navigation.measurements.dvl import Dvl
@@ -23,7 +23,7 @@ from insdvl.studies.check.dvl import DvlFacts, DvlLog
 from insdvl.studies.check.heading import OrientationFacts, OrientationLog
 from insdvl.studies.check.imu import ImuFacts, ImuLog
 from insdvl.studies.check.stamps import StampFacts, StampLog
-from insdvl.studies.check.topics import STAMPED, Sensors, sensors_of
+from insdvl.studies.check.topics import READ, Sensors, begins_with_header, sensors_of
 from insdvl.watch.alignment.check import AlignmentCheck
 from insdvl.watch.alignment.gravity import ASIDE, GRAVITY, WRONG_SIZE, GravityCheck
 from insdvl.watch.alignment.sentences import Remedy
@@ -145,8 +145,10 @@ class _Pass:
     def __init__(self, bag: BagReader, sensors: Sensors, parameters: FilterParameters) -> None:
         self._bag, self._sensors, self._parameters = bag, sensors, parameters
         axes = CONVENTIONS[parameters.frame_convention]
-        self._stamped = [n for n, t in bag.topics.items() if t.size and t.type in STAMPED]
-        self._logs = {name: StampLog() for name in self._stamped}
+        self._read = [n for n, t in bag.topics.items() if t.size and t.type in READ]
+        self._headed = {n for n in self._read if begins_with_header(bag.topics[n].type)}
+        self._logs = {name: StampLog() for name in self._read}
+        self._newest_ns = 0  # of the IMU
         self._imu = ImuLog(parameters)
         self._dvl = DvlLog(parameters.dvl.max_speed, axes.body)
         self._orientation = OrientationLog(axes)
@@ -158,12 +160,13 @@ class _Pass:
     ) -> Inspection:
         """Look at all messages."""
         first_ns = last_ns = None
-        for k, raw in enumerate(self._bag.raw(self._stamped)):
+        for k, raw in enumerate(self._bag.raw(self._read)):
             if k % SHOWN == 0:
                 show(k)
             first_ns = raw.time_ns if first_ns is None else first_ns
             last_ns = raw.time_ns
-            self._logs[raw.topic].add(stamp_ns(raw), raw.time_ns)
+            if raw.topic in self._headed:
+                self._logs[raw.topic].add(stamp_ns(raw), raw.time_ns)
             self._look(raw)
         self._alignment.finish()
         sensors, has_imu, has_dvl = self._sensors, bool(self._sensors.imu), bool(self._sensors.dvl)
@@ -201,6 +204,7 @@ class _Pass:
         message = decode(raw).message
         for event in self._events(message, BY_NAME[IMU], self._imu.refused):
             if isinstance(event, Imu):
+                self._newest_ns = event.stamp_ns
                 self._imu.add(event)
                 self._orientation.add(message, event.f_b)
                 self._alignment.add(event)
@@ -212,12 +216,17 @@ class _Pass:
             if isinstance(event, Dvl):
                 self._dvl.add(event)
                 self._alignment.add(event)
+                if raw.topic not in self._headed:
+                    self._logs[raw.topic].add(event.stamp_ns, raw.time_ns)
 
     def _events(self, message: Any, row: Topic, refused: Counter[str]) -> Iterator[Event]:
         """The events of a message at the time at which they were valid; a refusal is counted."""
         offset_ns = round(attrgetter(row.time_offset)(self._parameters) * NS)
         try:
             for event in row.convert(message, self._parameters):
-                yield replace(event, stamp_ns=event.stamp_ns + offset_ns) if offset_ns else event
+                since_ns = offset_ns
+                if event.stamp_ns <= 0 and row.zero_stamp is ZeroStamp.NOW:
+                    since_ns += self._newest_ns
+                yield replace(event, stamp_ns=event.stamp_ns + since_ns) if since_ns else event
         except RejectedMessage as rejection:
             refused[rejection.reason] += 1

@@ -7,6 +7,7 @@ from insdvl.messages import convert, depth
 from insdvl.messages.topics import TOPICS, Topic
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.recordings.bag_reader import RecordedTopic
+from insdvl.recordings.base import typestore
 from insdvl.recordings.parameters import ReplayParameters
 
 #: Ends of the names of topics that filters, tuners and simulators publish: they are no sensors.
@@ -94,5 +95,11 @@ def _is_no_sensor(name: str) -> bool:
     return any(name.endswith(end) or f"{end}/" in name for end in _NOT_SENSORS)
 
 
-#: Types whose messages begin with a header, so that their stamps are known.
-STAMPED = frozenset(kind for row in TOPICS for kind in row.types)
+#: The types of the table: of other topics the index is enough.
+READ = frozenset(kind for row in TOPICS for kind in row.types)
+
+
+def begins_with_header(kind: str) -> bool:
+    """Whether messages of a standard type begin with a header, and so with their stamp."""
+    fields = typestore().fielddefs[kind][1] if kind in typestore().fielddefs else []
+    return bool(fields) and fields[0][0] == "header"
