@@ -16,7 +16,8 @@ from insdvl.jobs.options import Workers
 from insdvl.jobs.pool import open_pool
 from insdvl.simulation.imu import ideal_imu
 from insdvl.simulation.trajectories import BASELINE
-from insdvl.studies.training import command, dataset, ensemble
+from insdvl.studies.training import dataset, ensemble
+from insdvl.studies.training.arguments import add_arguments
 from insdvl.studies.training.dataset import DataSet, Recipe
 from insdvl.studies.training.metrics import errors
 from insdvl.tuner.features.closed_form import bayes_rmse
@@ -260,7 +261,7 @@ def test_a_disk_that_fails_leaves_the_earlier_model_as_it_was(
     assert {file.name for file in tmp_path.iterdir()} == {*before, ".paper.work"}
 
 
-def test_an_interrupted_training_goes_on_from_what_is_finished(tmp_path, monkeypatch):
+def test_an_interrupted_training_goes_on_from_what_is_finished(tmp_path, monkeypatch, capsys):
     """The third fit is interrupted; the second run makes neither the data nor two fits again."""
     original, done, interrupted_at = ensemble._fit, [], 3
 
@@ -273,8 +274,8 @@ def test_an_interrupted_training_goes_on_from_what_is_finished(tmp_path, monkeyp
     monkeypatch.setattr(ensemble, "_fit", fit)
     monkeypatch.setattr(ensemble, "train", functools.partial(ensemble.train, n_windows=1))
     arguments = [*TRAIN, "--out", str(tmp_path)]
-    with pytest.raises(KeyboardInterrupt):
-        cli.main(arguments)
+    assert cli.main(arguments) == 130
+    assert "interrupted; finished parts are kept" in capsys.readouterr().err
     assert {file.name for file in tmp_path.iterdir()} == {".paper.work"}
 
     def extract(*arguments: Any) -> Any:
@@ -307,7 +308,7 @@ def test_windows_of_any_length_lie_in_the_published_recordings(window, windows):
 
 def test_the_defaults():
     parser = argparse.ArgumentParser()
-    command.add_arguments(parser)
+    add_arguments(parser)
     defaults = parser.parse_args([])
     assert defaults.preset == "default" and defaults.seed == 0 and defaults.out == Path("models")
     assert defaults.window == 200
