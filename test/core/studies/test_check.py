@@ -13,12 +13,14 @@ from recordings import save
 from insdvl import cli
 from insdvl.messages.convert import FIX
 from insdvl.messages.depth import PRESSURE
+from insdvl.messages.drivers import DVL_MSGS, MARINE_ACOUSTIC, NUCLEUS_BOTTOM
 from insdvl.navigation.events import NS
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build
 from insdvl.recordings.bag_reader import BagReader
 from insdvl.recordings.base import Raw, decode, encode, new_message, typestore
+from insdvl.recordings.drivers import dvl_message, dvl_raw
 from insdvl.recordings.parameters import ReplayParameters
 from insdvl.simulation.mission import Mission
 from insdvl.simulation.trajectories import STATIC
@@ -114,6 +116,21 @@ def test_sensors_on_other_topics_are_found_by_their_types(raws: list[Raw]) -> No
         "insdvl_replay": {"imu_topic": "/auv/imu/raw", "dvl_topic": "/auv/dvl/twist"}
     }
     assert is_usable(found)
+
+
+@pytest.mark.parametrize("kind", [MARINE_ACOUSTIC, DVL_MSGS, NUCLEUS_BOTTOM])
+def test_a_dvl_of_a_drivers_own_type_is_found(kind: str, mission: Mission, raws: list[Raw]) -> None:
+    """By its definition in the recording; its stamps are known, whether or not it has a header."""
+    pings = [
+        dvl_raw("/bottom", stamp, dvl_message(kind, stamp, v))
+        for stamp, v in zip(mission.dvl_stamps_ns.tolist(), mission.v_d, strict=True)
+    ]
+    seen = looked_at([*pings, *(raw for raw in raws[:600] if raw.topic != "/dvl")])
+    assert seen.sensors.dvl == "/bottom"
+    assert seen.dvl is not None
+    assert (seen.dvl.count, seen.dvl.refused) == (25, {})
+    assert seen.stamps["/bottom"].rate == pytest.approx(1.0, rel=1e-3)
+    assert settings_of(answers(seen)) == {"insdvl_replay": {"dvl_topic": "/bottom"}}
 
 
 # ---------------------------------------------------------------- what no parameter mends

@@ -10,6 +10,8 @@ from insdvl.recordings.bag_reader import RecordedTopic
 from insdvl.recordings.base import typestore
 from insdvl.recordings.parameters import ReplayParameters
 
+#: What the velocity through water is called by drivers that tell it as well.
+_WATER = "water"
 #: Ends of the names of topics that filters, tuners and simulators publish: they are no sensors.
 _NOT_SENSORS = ("process_noise", "bias", "filtered", "cmd_vel", "set_odometry")
 
@@ -59,36 +61,51 @@ def sensors_of(
 ) -> Sensors:
     """The sensors of a recording."""
 
-    def chosen(types: Collection[str], word: str, *named: str) -> str:
-        fitting = [name for name, topic in topics.items() if topic.size and topic.type in types]
-        for name in named:
-            if name in fitting:
-                return name
-        fitting = [name for name in fitting if not _is_no_sensor(name)]
-        return max(
-            fitting,
-            key=lambda n: (word in n.lower(), topics[n].size, "raw" in n, n),
-            default="",
+    def named(types: Collection[str], *names: str) -> str:
+        """The first of the names that a parameter tells, where it has one of the types."""
+        there = [n for n in names if n in topics and topics[n].size and topics[n].type in types]
+        return there[0] if there else ""
+
+    def found(types: Collection[str], word: str, *names: str) -> str:
+        """That, else the topic that is likeliest by its name, its number of messages next."""
+        fitting = [name for name in _fitting(topics, types) if not _is_no_sensor(name)]
+        return named(types, *names) or max(
+            fitting, key=lambda n: (word in n.lower(), topics[n].size, "raw" in n, n), default=""
         )
 
     rows = dvl_rows()
     types = [kind for row in rows for kind in row.types]
-    dvl = chosen(types, "dvl", *(getattr(replay, row.replay_parameter) for row in rows))
-    imu = chosen([convert.IMU], "imu", replay.imu_topic)
+    names = [getattr(replay, row.replay_parameter) for row in rows]
+    dvls = [name for name in _fitting(topics, types) if _is_dvl(name, topics[name].type)]
+    dvl = named(types, *names) or max(
+        dvls,
+        key=lambda n: (_WATER not in f"{n} {topics[n].type}".lower(), "dvl" in n, topics[n].size),
+        default="",
+    )
+    imu = found([convert.IMU], "imu", replay.imu_topic)
+    odometry = found([convert.ODOMETRY], "truth", replay.ground_truth_topic)
     return Sensors(
         imu=imu,
         dvl=dvl,
         dvl_row=next((row for row in rows if dvl and topics[dvl].type in row.types), None),
-        pressure=chosen([depth.PRESSURE], "press", "/" + filter_.depth.topic.lstrip("/")),
-        fix=chosen([convert.FIX], "fix", replay.fix_topic),
-        odometry=chosen([convert.ODOMETRY], "truth", replay.ground_truth_topic),
+        pressure=found([depth.PRESSURE], "press", "/" + filter_.depth.topic.lstrip("/")),
+        fix=found([convert.FIX], "fix", replay.fix_topic),
+        odometry=odometry if odometry != dvl else "",
         rivals=tuple(
             name
-            for name, topic in topics.items()
-            if topic.type in (convert.IMU, *types) and name not in (imu, dvl) and topic.size
-            if not _is_no_sensor(name)
+            for name in [*_fitting(topics, [convert.IMU]), *dvls]
+            if name not in (imu, dvl) and not _is_no_sensor(name)
         ),
     )
+
+
+def _fitting(topics: Mapping[str, RecordedTopic], types: Collection[str]) -> list[str]:
+    return [name for name, topic in topics.items() if topic.size and topic.type in types]
+
+
+def _is_dvl(name: str, kind: str) -> bool:
+    """Whether a topic of a type that a DVL may have is one: others have an odometry, too."""
+    return "dvl" in name.lower() or (kind != convert.ODOMETRY and not _is_no_sensor(name))
 
 
 def _is_no_sensor(name: str) -> bool:
