@@ -56,8 +56,8 @@ def looked_at(raws: list[Raw], *, adapt: bool = True, **parameters: Any) -> Insp
     return inspect(cast(BagReader, Memory(raws)), filter_, TOPICS, adapt=adapt)
 
 
-def said(raws: list[Raw], **parameters: Any) -> list[Finding]:
-    return answers(looked_at(raws, **parameters))
+def said(raws: list[Raw], **options: Any) -> list[Finding]:
+    return answers(looked_at(raws, **options))
 
 
 def texts(found: list[Finding], question: str) -> str:
@@ -298,6 +298,18 @@ def test_gaps_are_counted(raws: list[Raw]) -> None:
     found = said([raw for raw in raws if not is_lost(raw)])
     assert "2 gaps, 1.5 s together, the longest 1 s" in texts(found, STAMPS)
     assert is_usable(found)
+
+
+def test_another_rate_is_told(raws: list[Raw]) -> None:
+    """8 Hz, at which the default of imu.max_gap would make a gap of each interval."""
+    few = [raw for k, raw in enumerate(raws) if raw.topic != "/imu" or k % 12 == 0]
+    steps = np.diff([raw.time_ns for raw in few if raw.topic == "/imu"])
+    rate = float(f"{NS / np.median(steps):.3g}")
+    settings = settings_of(said(few))["insdvl_filter"]
+    assert settings["imu.rate"] == rate
+    assert settings["imu.max_gap"] == pytest.approx(5.0 / rate, rel=0.05)
+    told = settings_of(said(raws, adapt=False, **{"imu.rate": 200.0}))
+    assert told == {"insdvl_filter": {"imu.rate": 100.0}}
 
 
 def test_stamps_that_repeat_go_back_or_are_unset_are_counted() -> None:

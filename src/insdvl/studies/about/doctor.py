@@ -109,7 +109,7 @@ def _cache() -> Iterator[Result]:
     except ImportError as error:  # told among the packages
         yield Result(f"compiled functions: {error}", True)
         return
-    folder = kernels.cache_dir(Path(kernels.__file__))
+    folder = kernels.cache_dir(Path(str(kernels.__file__)))
     if folder is None:
         yield Result(
             "compiled functions are not cached: no folder is writable; every start compiles for a "

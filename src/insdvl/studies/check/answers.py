@@ -274,7 +274,7 @@ def _noise(seen: Inspection) -> dict[str, tuple[float, ...]]:
     """The variances of the noise, where the parameters are far from them."""
     assert seen.imu is not None
     told = seen.parameters.process_noise
-    found = {}
+    found: dict[str, tuple[float, ...]] = {}
     for name, part in (("accelerometer", slice(0, 3)), ("gyroscope", slice(3, 6))):
         variance = float(seen.imu.variance[part].max())
         told_variance = max(getattr(told, f"{name}_variance"))

@@ -99,26 +99,26 @@ def inspect(
 
 
 def _told_by_imu(bag: BagReader, sensors: Sensors, told: FilterParameters) -> dict[str, Any]:
-    """Frame convention, mount and rate of the IMU, as far as they differ from the parameters."""
-    parameters, found = told, {}
-    first = list(_first_samples(bag, sensors, parameters))
+    """Frame convention, mount and rate of the IMU, where they differ from what is told."""
+    found: dict[str, Any] = {}
+    first = list(_first_samples(bag, sensors, told))
     if len(first) < 2:
         return {}
     steps = np.diff([sample.stamp_ns for sample in first]) / NS
     rate = 1.0 / float(np.median(steps)) if np.median(steps) > 0 else 0.0
-    if rate and abs(rate / parameters.imu.rate - 1.0) > NEAR and 0.1 <= rate <= 1e4:
+    if rate and abs(rate / told.imu.rate - 1.0) > NEAR and 0.1 <= rate <= 1e4:
         found["imu.rate"] = float(f"{rate:.3g}")
-        if parameters.imu.max_gap <= 2.0 / rate:
+        if told.imu.max_gap <= 2.0 / rate:
             found["imu.max_gap"] = float(f"{5.0 / rate:.2g}")
     mean = np.mean([sample.f_b for sample in first], axis=0)
     size = float(np.linalg.norm(mean))
     if abs(size / GRAVITY - 1.0) > WRONG_SIZE:  # which is said later
         return found
     if -mean[2] / size < -ASIDE:
-        names = [name for name in CONVENTIONS if name != parameters.frame_convention]
+        names = [name for name in CONVENTIONS if name != told.frame_convention]
         found["frame_convention"] = names[0]
     elif abs(mean[2]) / size < np.sqrt(1.0 - ASIDE**2):
-        check = GravityCheck(parameters.frame_convention, np.eye(3))
+        check = GravityCheck(told.frame_convention, np.eye(3))
         for sample in first:
             check.add(sample)
         if check.mean is not None:
