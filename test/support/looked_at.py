@@ -46,6 +46,7 @@ class Memory:
 
     def __init__(self, raws: list[Raw]) -> None:
         self._raws = raws
+        self.remarks: list[str] = []
         sizes: dict[str, int] = {}
         for raw in raws:
             sizes[raw.topic] = sizes.get(raw.topic, 0) + 1

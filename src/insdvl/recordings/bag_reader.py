@@ -1,10 +1,11 @@
 """Reading a rosbag2 recording without ROS, sqlite3 and MCAP alike."""
 
+from collections import Counter
 from collections.abc import Collection, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 from insdvl.extras import extra
 from insdvl.recordings.base import BagError, Raw, Recorded, decode, text_of, typestore
@@ -13,11 +14,17 @@ from insdvl.recordings.checks import (
     check_chunks,
     check_database,
     check_folder,
+    complete_index,
 )
+from insdvl.recordings.foreign import STORAGES, remedy_of_file, remedy_of_folder
 
 with extra("bags"):
     from rosbags.interfaces import Connection, MessageDefinitionFormat
     from rosbags.rosbag2 import Reader
+
+
+#: Encoding of the messages of ROS 2.
+ENCODING = "cdr"
 
 
 class RecordedTopic(NamedTuple):
@@ -39,6 +46,7 @@ class BagReader:
     Attributes:
         path: The folder of the recording, or its one .mcap or .db3 file.
         topics: The topics of the recording by name.
+        remarks: What a reader should know of it, each in a sentence.
     """
 
     def __init__(self, path: Path) -> None:
@@ -48,24 +56,27 @@ class BagReader:
             BagError: It does not exist, is damaged, incomplete, empty or not a rosbag2 recording.
         """
         self.path = path
+        self.remarks: list[str] = []
         if not path.exists():
             raise BagError(f"recording {path} does not exist")
         if path.is_dir() and not (path / "metadata.yaml").is_file():
-            raise BagError(f"{path} is not a rosbag2 recording: it has no metadata.yaml")
-        if not path.is_dir() and not (path.is_file() and path.suffix in (".mcap", ".db3")):
+            remedy = "; ".join(["it has no metadata.yaml", remedy_of_folder(path)]).rstrip("; ")
+            raise BagError(f"{path} is not a rosbag2 recording: {remedy}")
+        if not path.is_dir() and not (path.is_file() and path.suffix in STORAGES):
+            what = remedy_of_file(path) if path.is_file() else ""
             raise BagError(
-                f"{path} is not a rosbag2 recording: neither a folder nor an .mcap or .db3 file"
+                f"{path} is not a rosbag2 recording: "
+                f"{what or 'neither a folder nor an .mcap or .db3 file'}"
             )
         try:
             with ExitStack() as stack:
                 self._reader = self._open(path, stack)
-                found = {
-                    name: (sorted({c.msgtype for c in info.connections}), info.msgcount)
-                    for name, info in self._reader.topics.items()
-                }
+                self._connections = self._read_connections()
+                found = self._found()
                 stack.pop_all()
         except Exception as error:  # damaged bytes make the parser raise anything
-            raise BagError(f"cannot read recording {path}: {text_of(error)}") from error
+            remedy = f"; {what}" if path.is_file() and (what := remedy_of_file(path)) else ""
+            raise BagError(f"cannot read recording {path}: {text_of(error)}{remedy}") from error
         for name, (types, _) in found.items():
             if len(types) > 1:
                 self.close()
@@ -85,9 +96,39 @@ class BagReader:
         reader = Reader(path)
         reader.open()
         stack.callback(reader.close)
-        for storage in getattr(reader.storage, "storages", [reader.storage]):
+        for storage in _storages(reader):
             check_chunks(getattr(storage, "chunks", []))
+            complete_index(storage)
         return reader
+
+    def _read_connections(self) -> list[Connection]:
+        """The connections whose messages are read: those of ROS 2's encoding."""
+        others = [c for c in self._reader.connections if c.ext.serialization_format != ENCODING]
+        for c in others:
+            self.remarks.append(
+                f"topic {c.topic} is left out: it is encoded as {c.ext.serialization_format}, "
+                f"{ENCODING} is read"
+            )
+        return [c for c in self._reader.connections if c not in others]
+
+    def _found(self) -> dict[str, tuple[list[str], int]]:
+        """Types of each topic, and the number of its messages by metadata or files, the larger."""
+        told: Counter[str] = Counter()
+        there: Counter[str] = Counter()
+        for c in self._connections:
+            told[c.topic] += c.msgcount
+        for c in (c for storage in _storages(self._reader) for c in storage.connections):
+            there[c.topic] += c.msgcount
+        for name in told:
+            if told[name] < there[name]:
+                self.remarks.append(
+                    f"metadata.yaml tells of {told[name]} messages on {name}, its files have "
+                    f"{there[name]}: all are read"
+                )
+        types: dict[str, set[str]] = {}
+        for c in self._connections:
+            types.setdefault(c.topic, set()).add(c.msgtype)
+        return {name: (sorted(types[name]), max(told[name], there[name])) for name in types}
 
     def __enter__(self) -> "BagReader":
         return self
@@ -136,8 +177,9 @@ class BagReader:
         Raises:
             BagError: The recording is damaged, or has fewer messages than its index says.
         """
-        connections = [c for c in self._reader.connections if c.topic in topics]
-        expected, found = sum(c.msgcount for c in connections), 0
+        connections = [c for c in self._connections if c.topic in topics]
+        expected = sum(self.topics[name].size for name in {c.topic for c in connections})
+        found = 0
         if not connections:
             return
         messages = self._reader.messages(connections)
@@ -177,6 +219,11 @@ class BagReader:
             BagError: The recording or one of the messages is damaged.
         """
         return map(decode, self.raw(topics))
+
+
+def _storages(reader: Reader) -> list[Any]:
+    """The files of an open recording."""
+    return list(getattr(reader.storage, "storages", [reader.storage]))
 
 
 def _definition(connection: Connection) -> str:

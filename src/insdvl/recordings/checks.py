@@ -16,6 +16,7 @@ from urllib.parse import quote
 from insdvl import yaml_files
 from insdvl.extras import extra
 from insdvl.files import shown
+from insdvl.recordings.foreign import STORAGES, unfinished_log
 from insdvl.yaml_files import YamlError
 
 with extra("bags"):
@@ -63,13 +64,19 @@ def check_folder(path: Path) -> None:
             "(convert it with `ros2 bag convert`)"
         )
     names = information.get("relative_file_paths")
+    storage = information.get("storage_identifier")
+    if storage == "" and type(names) is list:
+        by_suffix = sorted({STORAGES.get(PurePath(str(name)).suffix, "") for name in names} - {""})
+        raise UnfitError(
+            f"metadata.yaml: storage_identifier is empty; write {' or '.join(by_suffix)} there"
+        )
     for name in names if type(names) is list else []:
         file = path / PurePath(str(name)).name  # where rosbags looks for it
         if not file.exists():
             continue
         if not file.is_file():
             raise UnfitError(f"{file.name} is not a regular file")
-        if information.get("storage_identifier") == "sqlite3":
+        if storage == "sqlite3":
             check_database(file)
 
 
@@ -94,6 +101,21 @@ def _bounded(new: Callable[[], Any]) -> Callable[[bytes, int], bytes]:
         return b"".join(parts)
 
     return decompress
+
+
+# rosbags refuses a whole file for one channel of an encoding that it does not know. Such a channel
+# is left out by `BagReader`.
+_get_msgdef = storage_mcap.get_msgdef
+
+
+def _definition(schema: storage_mcap.Schema | None) -> Any:
+    try:
+        return _get_msgdef(schema)
+    except KeyError:
+        return _get_msgdef(None)
+
+
+storage_mcap.get_msgdef = _definition
 
 
 # rosbags passes the declared size to its decompressors, which ignore it, and checks it afterwards.
@@ -132,6 +154,21 @@ def check_chunks(chunks: Iterable[storage_mcap.ChunkInfo]) -> None:
             )
 
 
+def complete_index(storage: Any) -> None:
+    """Read chunks that have no index of their messages, which some recorders leave out.
+
+    rosbags takes them for empty. Their messages are counted by reading the file once.
+    """
+    unindexed = [c for c in getattr(storage, "chunks", []) if not c.message_index_offsets]
+    if not unindexed:
+        return
+    for chunk in unindexed:  # any channel may be in it
+        chunk.channel_count.update({c.id: 1 for c in storage.connections})
+    storage.meta_scan()
+    counts = storage.statistics.channel_message_counts
+    storage.connections = [c._replace(msgcount=counts.get(c.id, 0)) for c in storage.connections]
+
+
 # ---------------------------------------------------------------- sqlite3
 
 
@@ -142,8 +179,10 @@ def check_database(path: Path) -> None:
     contains.
 
     Raises:
-        UnfitError: The file is not a database, is damaged, or has any of these.
+        UnfitError: The file is not a database, is damaged, has any of these, or not all messages.
     """
+    if log := unfinished_log(path):
+        raise UnfitError(log)
     try:
         with closing(
             sqlite3.connect(f"file:{quote(str(path))}?mode=ro&immutable=1", uri=True)

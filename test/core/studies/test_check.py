@@ -112,6 +112,13 @@ def test_the_text_has_80_columns_and_every_question(raws: list[Raw]) -> None:
     assert lines[-1].strip() == "Yes."
 
 
+def test_what_the_reader_remarks_is_said(raws: list[Raw]) -> None:
+    memory = Memory(raws[:100])
+    memory.remarks.append("topic /tool is left out")
+    seen = inspect(cast(BagReader, memory), FilterParameters(), TOPICS, adapt=True)
+    assert "Topic /tool is left out." in texts(answers(seen), NEEDED)
+
+
 def test_sensors_on_other_topics_are_found_by_their_types(raws: list[Raw]) -> None:
     names = {"/imu": "/auv/imu/raw", "/dvl": "/auv/dvl/twist"}
     moved = [raw._replace(topic=names.get(raw.topic, raw.topic)) for raw in raws]

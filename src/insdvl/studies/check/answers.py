@@ -84,6 +84,8 @@ def _needed(seen: Inspection) -> Iterator[Finding]:
             {name: sensors.dvl},
             REPLAY,
         )
+    for remark in seen.remarks:
+        yield _wrong(NEEDED, f"{remark[0].upper()}{remark[1:]}.")
     if sensors.rivals:
         yield Finding(NEEDED, f"Not looked at, of a fitting type: {', '.join(sensors.rivals)}.")
     if sensors.pressure and not seen.parameters.depth.topic:

@@ -39,6 +39,7 @@ class Inspection:
 
     Attributes:
         topics: All topics, by name.
+        remarks: What the reader of the recording says of it.
         sensors: Which of them are the sensors.
         stamps: What the stamps show, of the topics whose messages have them.
         span: From the first to the last message that was read [s].
@@ -56,6 +57,7 @@ class Inspection:
     """
 
     topics: dict[str, RecordedTopic]
+    remarks: list[str]
     sensors: Sensors
     stamps: dict[str, StampFacts]
     span: float
@@ -173,6 +175,7 @@ class _Pass:
         longest = {sensors.imu: self._parameters.imu.max_gap}
         return Inspection(
             topics=dict(self._bag.topics),
+            remarks=self._bag.remarks,
             sensors=sensors,
             stamps={n: log.facts(longest.get(n, 0.0)) for n, log in self._logs.items()},
             span=0.0 if first_ns is None or last_ns is None else (last_ns - first_ns) / NS,

@@ -1,5 +1,6 @@
 """A recording through the core filter: the state that the filter node reaches, to the bit."""
 
+import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -29,6 +30,8 @@ def read(
 ) -> list[Raw]:
     """What is played of a recording, in the recorded order, on the topics of the nodes.
 
+    What a reader should know of the recording goes to stderr.
+
     Args:
         path: The recording.
         parameters: Of the replay.
@@ -39,6 +42,8 @@ def read(
         ParameterError: Two parameters of the filter name one topic.
     """
     with BagReader(path) as bag:
+        for remark in bag.remarks:
+            print(f"{path}: {remark}", file=sys.stderr)
         topics = played(bag, parameters, taken(filter_parameters) if filter_parameters else {})
         size = bag.topics[parameters.imu_topic].size
         if size > MAX_SAMPLES:
