@@ -47,17 +47,15 @@ class Command:
 
 def _study(name: str, meaning: str, **more: str) -> Command:
     """A command with a folder of its own among the studies."""
-    package = f"insdvl.studies.{name}"
-    return Command(f"{package}.arguments:add_arguments", f"{package}.command:run", meaning, **more)
+    arguments = f"insdvl.studies.arguments.{name}:add_arguments"
+    return Command(arguments, f"insdvl.studies.{name}.command:run", meaning, **more)
 
 
 def _about(name: str, meaning: str, **more: str) -> Command:
-    """A command that tells something of the installation."""
-    package = "insdvl.studies.about"
-    return Command(f"{package}.arguments:{name}", f"{package}.{name}:run", meaning, **more)
+    """A command that tells something of the software."""
+    arguments = f"insdvl.studies.arguments.about:{name}"
+    return Command(arguments, f"insdvl.studies.about.{name}:run", meaning, **more)
 
-
-_RESUMES = "finished parts are kept, the same command continues"
 
 _COMPUTES = {"failed": "a computation failed", "kept": "finished parts are kept, run it again"}
 
@@ -113,6 +111,12 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
             "check the installation",
             goal="is the set-up right?",
             failed="something is wrong, and is named",
+        ),
+        "warm": Command(
+            "insdvl.studies.arguments.about:warm",
+            "insdvl.studies.warm:run",
+            "compile all functions and cache them, for the first start",
+            failed="nothing can be cached",
         ),
         "cite": _about("cite", "print BibTeX entries"),
         "completion": _about("completion", "print the completion script of a shell"),

@@ -11,13 +11,13 @@ from insdvl import cli, commands
 from insdvl.commands import COMMANDS, overview, parser_of, whole_parser
 from insdvl.simulation import noise
 from insdvl.simulation.trajectories import AUV
-from insdvl.studies.consistency import arguments as of_consistency
+from insdvl.studies.arguments import consistency as of_consistency
+from insdvl.studies.arguments import evaluation as of_evaluation
+from insdvl.studies.arguments import results as of_results
+from insdvl.studies.arguments import training as of_training
 from insdvl.studies.consistency.page import STUDIES
 from insdvl.studies.evaluation import approaches
-from insdvl.studies.evaluation import arguments as of_evaluation
-from insdvl.studies.results import arguments as of_results
 from insdvl.studies.results.command import PARTS
-from insdvl.studies.training import arguments as of_training
 from insdvl.studies.training.command import PRESETS
 from insdvl.studies.training.dataset import WINDOW
 

@@ -13,8 +13,9 @@ from insdvl.cli import main
 from insdvl.commands import COMMANDS, parser_of
 
 PAGE = (ROOT / "docs" / "reference" / "commands.md").read_text()
-#: These fly hundreds of missions: their calls are parsed, and tests of their own run them.
-LONG = {"train", "evaluate", "results", "consistency"}
+#: These compile everything or fly hundreds of missions: their calls are parsed, and tests of their
+#: own run them.
+LONG = {"warm", "train", "evaluate", "results", "consistency"}
 
 
 def calls() -> list[list[str]]:
@@ -33,6 +34,7 @@ def test_every_call_on_the_page_works(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.chdir(tmp_path)
     save(tmp_path / "dive", raws_of(flown(12.0)))
     assert main(["init", "dive", "-o", "vehicle.yaml"]) == 0
+    (tmp_path / "further.yaml").write_text("/**: {ros__parameters: {dvl.max_speed: 5.0}}\n")
     for words in calls():
         if words[0] in LONG:
             parser_of(words[0]).parse_args(words[1:])

@@ -21,10 +21,6 @@ from insdvl.tuner.tuner import Tuner
 from insdvl.watch.alignment.check import compile_check
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """It has none."""
-
-
 def run(arguments: argparse.Namespace) -> int:
     """Compile and cache; 1 if nothing can be cached."""
     warnings: list[str] = []

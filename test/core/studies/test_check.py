@@ -14,6 +14,7 @@ from insdvl import cli
 from insdvl.messages.convert import FIX
 from insdvl.messages.depth import PRESSURE
 from insdvl.messages.drivers import DVL_MSGS, MARINE_ACOUSTIC, NUCLEUS_BOTTOM
+from insdvl.messages.heading import QUATERNION
 from insdvl.navigation.events import NS
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
@@ -245,14 +246,17 @@ def test_an_imu_on_its_side_is_told_with_its_mount(brief: Mission) -> None:
     assert abs(yaw) < 0.15
 
 
-def test_a_latitude_is_taken_from_a_fix_and_a_depth_from_a_pressure(raws: list[Raw]) -> None:
+def test_a_fix_a_pressure_and_a_compass_are_found(raws: list[Raw]) -> None:
     fix, pressure = new_message(FIX), new_message(PRESSURE)
     fix.latitude, fix.longitude = 59.9, 10.7
     pressure.fluid_pressure = 2e5
     for message in (fix, pressure):
         message.header.stamp.sec = START_NS // NS
+    compass = new_message(QUATERNION)
+    compass.header.stamp.sec = START_NS // NS
     others = [encode("/fix", START_NS, fix), encode("/ctd/pressure", START_NS, pressure)]
-    found = said([*others, *raws[:100]])
+    found = said([*others, encode("/compass", START_NS, compass), *raws[:100]])
+    assert "/compass may tell it: heading.topic: compass." in texts(found, HEADING)
     assert settings_of(found) == {
         "insdvl_filter": {"depth.topic": "ctd/pressure", "origin.latitude_deg": 59.9}
     }

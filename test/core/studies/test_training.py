@@ -16,8 +16,8 @@ from insdvl.jobs.options import Workers
 from insdvl.jobs.pool import open_pool
 from insdvl.simulation.imu import ideal_imu
 from insdvl.simulation.trajectories import BASELINE
+from insdvl.studies.arguments.training import add_arguments
 from insdvl.studies.training import dataset, ensemble
-from insdvl.studies.training.arguments import add_arguments
 from insdvl.studies.training.dataset import DataSet, Recipe
 from insdvl.studies.training.metrics import errors
 from insdvl.tuner.features.closed_form import bayes_rmse

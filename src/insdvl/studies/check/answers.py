@@ -205,6 +205,8 @@ def _start(seen: Inspection) -> Iterator[Finding]:
 def _heading(seen: Inspection) -> Iterator[Finding]:
     o = seen.orientation
     assert o is not None
+    for name in seen.sensors.headings:
+        yield Finding(HEADING, f"{name} may tell it: heading.topic: {name.lstrip('/')}.")
     if o.told + o.untold and o.tilted > MOST * (o.told + o.untold):
         yield Finding(
             HEADING, "The orientation of the IMU is in other axes than its force: not used."

@@ -4,7 +4,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from insdvl.messages import convert, depth
-from insdvl.messages.topics import TOPICS, Topic
+from insdvl.messages.topics import BY_NAME, HEADING, TOPICS, Topic
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.recordings.bag_reader import RecordedTopic
 from insdvl.recordings.base import typestore
@@ -32,6 +32,7 @@ class Sensors:
         pressure: Topic of a pressure sensor.
         fix: Topic of a satellite fix.
         odometry: Topic of an odometry.
+        headings: Topics of sensors that may tell the heading all the time.
         rivals: Further topics of the types of IMU and DVL.
     """
 
@@ -41,6 +42,7 @@ class Sensors:
     pressure: str
     fix: str
     odometry: str
+    headings: tuple[str, ...]
     rivals: tuple[str, ...]
 
     @property
@@ -91,6 +93,11 @@ def sensors_of(
         pressure=found([depth.PRESSURE], "press", "/" + filter_.depth.topic.lstrip("/")),
         fix=found([convert.FIX], "fix", replay.fix_topic),
         odometry=odometry if odometry != dvl else "",
+        headings=tuple(
+            name
+            for name in _fitting(topics, set(BY_NAME[HEADING].types) - {convert.IMU})
+            if not _is_no_sensor(name)
+        ),
         rivals=tuple(
             name
             for name in [*_fitting(topics, [convert.IMU]), *dvls]

@@ -10,7 +10,7 @@ from insdvl.files import check_writable, json_text, read_parts, write
 from insdvl.jobs.options import workers_from
 from insdvl.jobs.pool import Pool, TaskError, open_pool
 from insdvl.jobs.store import Store, environment
-from insdvl.studies.consistency.arguments import NAME, QUICK_RUNS, RUNS
+from insdvl.studies.arguments.consistency import NAME, QUICK_RUNS, RUNS
 from insdvl.studies.consistency.page import STUDIES, consistency_page
 from insdvl.studies.consistency.study import Extent, Study
 from insdvl.studies.evaluation.comparison import MIN_RUNS

@@ -11,9 +11,9 @@ from insdvl.jobs.pool import TaskError, open_pool
 from insdvl.jobs.store import Store
 from insdvl.simulation.noise import SCENARIOS
 from insdvl.simulation.trajectories import AUV
+from insdvl.studies.arguments.evaluation import ERROR_STATES
 from insdvl.studies.evaluation import comparison, tables
 from insdvl.studies.evaluation.approaches import OWN_MODEL, PRESETS, ROWS, Setting, fingerprint
-from insdvl.studies.evaluation.arguments import ERROR_STATES
 from insdvl.studies.evaluation.comparison import Plan, compare
 from insdvl.studies.evaluation.options import check_names, check_numbers
 from insdvl.studies.report.plots import draw_errors_over_time

@@ -14,9 +14,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "-c",
         "--config",
         type=Path,
+        action="append",
         metavar="YAML",
-        help="parameter file by which the recording is judged (default: the defaults, with frame "
-        "convention, mount and rate of the IMU as the recording tells them)",
+        help="parameter file by which the recording is judged; several in their order (default: "
+        "the defaults, with frame convention, mount and rate of the IMU as the recording tells)",
     )
     parser.add_argument(
         "--json",

@@ -31,6 +31,11 @@ def doctor(parser: argparse.ArgumentParser) -> None:
     parser.epilog = examples("doctor", "doctor && insdvl check dive")
 
 
+def warm(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of `insdvl warm`: there are none."""
+    parser.epilog = examples("warm", "warm && insdvl doctor")
+
+
 def cite(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `insdvl cite`: there are none."""
     parser.epilog = examples("cite", "cite > insdvl.bib")

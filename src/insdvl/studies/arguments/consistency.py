@@ -7,7 +7,7 @@ from insdvl.commands import examples
 from insdvl.jobs.arguments import add_worker_options
 
 #: The names of the studies in page.py; a test holds that they are the same.
-STUDIES = ("blocks", "position", "outage", "gyrocompassing", "sensitivity")
+STUDIES = ("blocks", "position", "outage", "gyrocompassing", "heading", "sensitivity")
 NAME = "consistency"
 RUNS, QUICK_RUNS = 100, 4
 
