@@ -103,13 +103,16 @@ class BagReader:
 
     def _read_connections(self) -> list[Connection]:
         """The connections whose messages are read: those of ROS 2's encoding."""
-        others = [c for c in self._reader.connections if c.ext.serialization_format != ENCODING]
-        for c in others:
-            self.remarks.append(
-                f"topic {c.topic} is left out: it is encoded as {c.ext.serialization_format}, "
-                f"{ENCODING} is read"
-            )
-        return [c for c in self._reader.connections if c not in others]
+        read = []
+        for c in self._reader.connections:
+            encoding = getattr(c.ext, "serialization_format", ENCODING)
+            if encoding == ENCODING:
+                read.append(c)
+            else:
+                self.remarks.append(
+                    f"topic {c.topic} is left out: it is encoded as {encoding}, {ENCODING} is read"
+                )
+        return read
 
     def _found(self) -> dict[str, tuple[list[str], int]]:
         """Types of each topic, and the number of its messages by metadata or files, the larger."""
