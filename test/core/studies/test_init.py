@@ -6,13 +6,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from looked_at import flown, raws_of
+from looked_at import START_NS, flown, raws_of
 from recordings import save
 
 from insdvl import cli
+from insdvl.messages.convert import FIX
+from insdvl.messages.depth import PRESSURE
+from insdvl.navigation.events import NS
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import flatten
 from insdvl.parameters.sections import load_section
+from insdvl.recordings.base import encode, new_message
 from insdvl.recordings.parameters import ReplayParameters
 from insdvl.simulation.grades import GRADES
 from insdvl.studies.init.template import CHECK
@@ -71,6 +75,20 @@ def test_replay_navigates_with_it(bag: Path, written: Path, tmp_path: Path) -> N
     assert document["dvl_accepted"] >= SECONDS - 2
     assert document["body_velocity_rmse"] < 0.1
     assert document["frames"] == []
+
+
+def test_what_else_is_in_the_recording_is_set(tmp_path: Path) -> None:
+    fix, pressure = new_message(FIX), new_message(PRESSURE)
+    fix.latitude, pressure.fluid_pressure = 59.912, 2e5
+    for message in (fix, pressure):
+        message.header.stamp.sec = START_NS // NS
+    others = [encode("/fix", START_NS, fix), encode("/ctd/pressure", START_NS, pressure)]
+    bag = save(tmp_path / "dive", [*others, *raws_of(flown(3.0))])
+    assert cli.main(["init", str(bag), "-o", str(tmp_path / "my.yaml")]) == 0
+    parameters = load_section(tmp_path / "my.yaml", "insdvl_filter", FilterParameters)
+    assert parameters.origin.latitude_deg == 59.91
+    assert parameters.depth.topic == "ctd/pressure"
+    assert "59.91   " in (tmp_path / "my.yaml").read_text()
 
 
 def test_an_existing_file_is_left_alone(

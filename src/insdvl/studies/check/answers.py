@@ -350,7 +350,7 @@ def _fit(seen: Inspection) -> Iterator[Finding]:
                 yield Finding(FIT, f"If it was mounted at right angles, {name} is {list(angles)}.")
     else:
         yield Finding(
-            FIT, f"Nothing contradicts the parameters in {seen.windows} stretches of 20 s."
+            FIT, f"Yes: nothing contradicts the parameters in {seen.windows} stretches of 20 s."
         )
 
 

@@ -47,7 +47,8 @@ def parameter_file(name: str, seen: Inspection, found: Sequence[Finding]) -> str
     mended = settings.get(FILTER, {})
     lines = {line.name: line for line in _filter(seen)}
     for key, value in mended.items():
-        if not key.startswith("process_noise."):  # told below for each axis
+        # What is filled in is told for each axis, or by the fix.
+        if not key.startswith("process_noise.") and key != "origin.latitude_deg":
             why = f"{CHECK}: as `insdvl check` tells"
             if key.endswith("mount"):
                 why += f"; at right angles it were {yaml_value(right_angles(value))}"
@@ -70,7 +71,10 @@ def _filter(seen: Inspection) -> Iterator[Line]:
     if "imu.mount" in seen.found:
         up = f"{CHECK}: gravity is on another axis than z"
     yield Line("frame_convention", p.frame_convention, up)
-    yield Line("origin.latitude_deg", p.origin.latitude_deg, f"{CHECK}: to a degree")
+    if seen.place is None:
+        yield Line("origin.latitude_deg", p.origin.latitude_deg, f"{CHECK}: to a degree")
+    else:
+        yield Line("origin.latitude_deg", round(seen.place[0], 2), "by the first fix")
     yield Line("imu.rate", rate, "Hz, by the stamps")
     yield Line("imu.mount", p.imu.mount, f"{CHECK}: roll, pitch, yaw, rad")
     yield Line("dvl.mount", p.dvl.mount, f"{CHECK}: roll, pitch, yaw, rad")
