@@ -67,6 +67,8 @@ class Replay(Player[ReplayParameters]):
         if not self.parameters.bag:
             raise BagError("it is empty, but must name a recording")
         self._bag = BagReader(Path(self.parameters.bag))
+        for remark in self._bag.remarks:
+            self.get_logger().warning(remark)
         self._topics = played(self._bag, self.parameters)
         for raw in self._bag.raw(self._topics):
             stamp_ns(raw)
