@@ -7,6 +7,7 @@ standard library, so that a help or a wrong call is answered at once; the other 
 import argparse
 import difflib
 import sys
+import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pkgutil import resolve_name
@@ -42,7 +43,8 @@ class Command:
     def exit_codes(self) -> str:
         """What each exit code means."""
         failed = f"1 {self.failed}, " if self.failed else ""
-        return f"exit code: 0 done, {failed}2 wrong call or input refused, 130 interrupted (Ctrl-C)"
+        text = f"exit code: 0 done, {failed}2 wrong call or input refused, 130 interrupted (Ctrl-C)"
+        return textwrap.fill(text, 80)
 
 
 def _study(name: str, meaning: str, **more: str) -> Command:
