@@ -175,7 +175,7 @@ class FilterNode(InsdvlNode[FilterParameters]):
         if waiting is None or waiting.extrinsics.missing():
             return
         extrinsics = waiting.extrinsics
-        self.parameters = extrinsics.applied()
+        self.parameters = extrinsics.applied(self.parameters)
         self._waiting = None
         self.get_logger().info(f"extrinsics: {extrinsics.text}")
         self._make_feed()

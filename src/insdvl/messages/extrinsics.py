@@ -181,7 +181,7 @@ class Extrinsics:
                 sentences.append(f"{group}: {error}")
         if not sentences:
             try:
-                self.applied()
+                self.applied(self._parameters)
             except ParameterError as error:
                 sentences.append(str(error))
         return sentences
@@ -202,14 +202,17 @@ class Extrinsics:
                 values[f"{group}.{name}"] = tuple(told[name].tolist())
         return values
 
-    def applied(self) -> FilterParameters:
-        """The parameters with what was found.
+    def applied(self, parameters: FilterParameters) -> FilterParameters:
+        """Parameters with what was found.
+
+        Args:
+            parameters: Those of the filter, whose settings may have changed since.
 
         Raises:
             FrameError: Something is missing.
             ParameterError: A value is out of range.
         """
-        return build(FilterParameters, flatten(self._parameters) | self.found())
+        return build(FilterParameters, flatten(parameters) | self.found())
 
     @property
     def text(self) -> str:

@@ -44,4 +44,4 @@ def with_extrinsics(
             extrinsics.hear(names[raw.topic], decode(raw).message)
     if missing := extrinsics.missing():
         raise BagError(f"extrinsics is 'tf': {'; '.join(missing)}")
-    return extrinsics.applied()
+    return extrinsics.applied(parameters)
