@@ -70,7 +70,7 @@ class Vehicle(Graph):
         arguments = ["--ros-args", "--params-file", str(file), *cli]
         made: list[InsdvlNode[Any]] = []
         for node in navigator_nodes(
-            namespace=self.namespace, context=self.context, cli_args=arguments
+            namespace=self.namespace or None, context=self.context, cli_args=arguments
         ):
             made.append(self.add(node))
         self.filter, self.tuner = made
@@ -204,7 +204,7 @@ def test_a_reset_and_a_switch_reach_their_nodes(flown: tuple[Vehicle, Vehicle]) 
 
 def test_topics_that_a_remap_parts_are_not_shared(managed: Any, tmp_path: Path) -> None:
     vehicle = managed(Vehicle("/parted"))
-    vehicle.make_joined(tmp_path, cli=("-r", "insdvl_tuner:imu/data_raw:=raw"), **FILTER)
+    vehicle.make_joined(tmp_path, ("-r", "insdvl_tuner:imu/data_raw:=raw"), **FILTER)
     vehicle.until(lambda: vehicle.peer.count_subscribers("raw") == 1)
     assert vehicle.peer.count_subscribers("imu/data_raw") == 1
     assert "imu/data_raw" in vehicle.tuner.inputs
@@ -228,7 +228,14 @@ def test_an_error_of_the_tuner_does_not_reach_the_filter(
     assert vehicle.filter.counts()["unexpected errors"] == 0
 
 
+def test_a_parameter_of_the_command_line_names_its_node(managed: Any, tmp_path: Path) -> None:
+    """As the page says, and not in a namespace."""
+    vehicle = managed(Vehicle(""))
+    vehicle.make_joined(tmp_path, ("-p", "insdvl_filter:max_delay:=3.0"), **FILTER)
+    assert vehicle.filter.parameters.max_delay == 3.0
+
+
 def test_one_name_for_both_is_refused(managed: Any, tmp_path: Path) -> None:
     vehicle = managed(Vehicle("/renamed"))
     with pytest.raises(ParameterError, match="both nodes are named /renamed/nav: rename one"):
-        vehicle.make_joined(tmp_path, cli=("-r", "__node:=nav"))
+        vehicle.make_joined(tmp_path, ("-r", "__node:=nav"))
