@@ -7,6 +7,7 @@ place of the driver's.
 
 import sys
 from collections import Counter
+from copy import copy
 from typing import Any
 
 from sensor_msgs.msg import Imu
@@ -73,8 +74,9 @@ class TunerNode(InsdvlNode[TunerParameters]):
         if tuned is None:
             return
         self._latest = tuned
-        set_learned(message, tuned)
-        self._process_noise.send(message)
+        learned = copy(message)  # another node of this process may keep the sample
+        set_learned(learned, tuned)
+        self._process_noise.send(learned)
 
     def _enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self._tuner.enabled = request.data

@@ -88,7 +88,9 @@ def terminals(managed: Any, tmp_path: Path) -> Terminals:
     return managed(Terminals(tmp_path))
 
 
-@pytest.mark.parametrize("row", [*ROWS, "play a rosbag2", "bad network", "live table"])
+@pytest.mark.parametrize(
+    "row", [*ROWS, "both in one process", "play a rosbag2", "bad network", "live table"]
+)
 def test_both_columns_run_the_same(row: str) -> None:
     jazzy, wheels = commands(row)
     assert re.sub(r"^ros2 run (\w+) (\w+)", r".venv/lib/\1/\2", jazzy) == wheels

@@ -54,6 +54,8 @@ def attitudes(truth: Truth, model: HeadingModel, rng: np.random.Generator) -> Ar
     """
     white, markov, tilts = rng.spawn(3)
     size = truth.t.size
+    if size == 0:
+        return np.empty((0, 3, 3))  # SciPy 1.11 has no rotations of nothing
     heading, tilt = np.zeros((size, 3)), np.zeros((size, 3))
     heading[:, 2] = model.noise_std * white.standard_normal(size)
     if model.rate > 0.0:
