@@ -46,7 +46,7 @@ def test_one_seed_is_one_mission_to_the_bit():
 @pytest.mark.parametrize(
     ("changed", "what_differs"),
     [
-        ({"dvl": DvlModel(noise_std=(0.2,) * 3)}, {"v_d"}),
+        ({"dvl": DvlModel(noise_std=(0.2,) * 3)}, {"v_d", "r"}),
         ({"dvl": DvlModel(bias_std=0.1)}, {"v_d"}),
         ({"dvl": DvlModel(outlier_probability=0.3)}, {"v_d", "dvl_outlier"}),
         ({"dvl": DvlModel(lever_arm=(1.0, 0.0, 0.0))}, {"v_d"}),
@@ -67,7 +67,7 @@ def test_an_outage_takes_pings_away_and_changes_no_other():
     left = (base.dvl_stamps_ns < 10_000_000_000) | (base.dvl_stamps_ns >= 20_000_000_000)
     np.testing.assert_array_equal(cut.dvl_stamps_ns, base.dvl_stamps_ns[left])
     np.testing.assert_array_equal(cut.v_d, base.v_d[left])
-    assert differing(base, cut) == {"dvl_stamps_ns", "v_d", "dvl_outlier"}
+    assert differing(base, cut) == {"dvl_stamps_ns", "v_d", "r", "dvl_outlier"}
 
 
 def test_another_profile_scales_the_same_draws():
