@@ -9,6 +9,7 @@ from insdvl.files import check_writable, json_text, write
 from insdvl.jobs.options import add_worker_options, workers_from
 from insdvl.jobs.pool import TaskError, open_pool
 from insdvl.jobs.store import Store
+from insdvl.simulation.drawn.scenarios import DRAWN
 from insdvl.simulation.noise import SCENARIOS
 from insdvl.simulation.trajectories import AUV
 from insdvl.studies.evaluation import comparison, tables
@@ -18,6 +19,7 @@ from insdvl.studies.evaluation.options import check_names, check_numbers
 from insdvl.studies.report.plots import draw_errors_over_time
 from insdvl.tuner.models import load_model
 
+EVALUATED = (*SCENARIOS, *DRAWN)
 ERROR_STATES = ("invariant", "ned")
 
 
@@ -27,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--scenario",
         default="varying",
         metavar="NAME",
-        help=f"noise of the IMU: {', '.join(SCENARIOS)} (default: varying)",
+        help=f"noise and motion: {', '.join(EVALUATED)} (default: varying)",
     )
     parser.add_argument(
         "--preset",
@@ -40,6 +42,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="",
         metavar="NAME",
         help=f"{' or '.join(ERROR_STATES)} (default: that of the preset)",
+    )
+    parser.add_argument(
+        "--dvl-std",
+        type=float,
+        default=0.1,
+        metavar="M/S",
+        help="noise of the DVL, one sigma (default: 0.1)",
     )
     parser.add_argument("--gate", action="store_true", help="use the chi-square gate")
     parser.add_argument(
@@ -120,12 +129,14 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _plan(arguments: argparse.Namespace) -> Plan:
     rows = ROWS if arguments.rows is None else tuple(arguments.rows.split(","))
-    check_names("--scenario", [arguments.scenario], SCENARIOS)
+    check_names("--scenario", [arguments.scenario], EVALUATED)
     check_names("--preset", [arguments.preset], PRESETS)
     if arguments.error_state:
         check_names("--error-state", [arguments.error_state], ERROR_STATES)
     check_names("--rows", rows, ROWS)
     check_numbers(arguments)
+    if not 1e-3 <= arguments.dvl_std <= 10.0:
+        raise ValueError(f"--dvl-std must be within 0.001 to 10 m/s, got {arguments.dvl_std:g}")
     if arguments.duration is not None and not 10.0 <= arguments.duration <= AUV.duration:
         raise ValueError(
             f"--duration must be within 10 to {AUV.duration:g} s, got {arguments.duration:g}"
@@ -136,7 +147,7 @@ def _plan(arguments: argparse.Namespace) -> Plan:
         rows += (f"{OWN_MODEL}{arguments.model}",)
     return Plan(
         scenario=arguments.scenario,
-        setting=Setting(arguments.preset, arguments.error_state, arguments.gate),
+        setting=Setting(arguments.preset, arguments.error_state, arguments.gate, arguments.dvl_std),
         runs=arguments.runs,
         tuning_runs=arguments.tuning_runs,
         seed=arguments.seed,
