@@ -16,8 +16,8 @@ from insdvl.simulation.dvl import DvlModel, ideal_pings
 from insdvl.simulation.heading import HeadingModel, attitudes
 from insdvl.simulation.imu import ImuModel, biases, ideal_imu, white_noise
 from insdvl.simulation.motion import Trajectory, Truth
-from insdvl.simulation.noise import NoiseProfile, ProfileFactory, chosen_profile
-from insdvl.simulation.parameters import SimulatorParameters
+from insdvl.simulation.noise import NoiseProfile, ProfileFactory
+from insdvl.simulation.parameters import SimulatorParameters, chosen_noise
 from insdvl.simulation.trajectories import trajectory_named
 
 #: Largest number of samples of a mission: 13 hours at 100 Hz. All samples are computed before the
@@ -244,7 +244,13 @@ def mission_of(parameters: SimulatorParameters) -> Mission:
             f"parameter 'duration' must be at most {MAX_SAMPLES / imu.rate:g} s at imu.rate "
             f"{imu.rate:g} Hz, got {duration!r}: a mission has at most {MAX_SAMPLES} samples"
         )
-    noise = chosen_profile(parameters.noise)
+    noise = chosen_noise(parameters.noise)
+    if isinstance(noise, Scenario) and min(parameters.dvl.noise_std) == 0.0:
+        raise ParameterError(
+            "parameter 'dvl.noise_std' must be > 0 with noise.profile "
+            f"{parameters.noise.profile!r}, whose effective noise depends on it; "
+            f"got {list(parameters.dvl.noise_std)!r}"
+        )
     try:
         return simulate(
             trajectory,

@@ -69,6 +69,11 @@ def drawn_dvl_errors(duration: float, rng: np.random.Generator) -> DvlErrors:
             axis=1,
         ),
         bottom=segments(low**2, high**2)(duration, rng),
-        correlated=float(np.exp(rng.uniform(*np.log(CORRELATED)))),
-        correlation_time=float(np.exp(rng.uniform(*np.log(CORRELATION_TIME)))),
+        correlated=_log_uniform(CORRELATED, rng),
+        correlation_time=_log_uniform(CORRELATION_TIME, rng),
     )
+
+
+def _log_uniform(limits: tuple[float, float], rng: np.random.Generator) -> float:
+    low, high = np.log(limits)
+    return float(np.exp(rng.uniform(low, high)))

@@ -65,7 +65,7 @@ def horizontal(accelerometer: Spectrum, gyroscope: Spectrum, dvl: Dvl) -> tuple[
     """
 
     def caused(densities: Sequence[float]) -> tuple[float, float]:
-        k_1, k_2 = gains(*densities, dvl)
+        k_1, k_2 = gains(densities[0], densities[1], dvl)
         denominator = (1.0, k_1, _GRAVITY * k_2)
         in_velocity, in_tilt = (1.0, 0.0), (1.0, k_1)
         return (

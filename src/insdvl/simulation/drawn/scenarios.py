@@ -32,7 +32,7 @@ BAND = (6.0, 48.0)  # Hz, of lines and of broadband vibration
 LINE_POWER = (0.1, 30.0)  # variance over the middle of WHITE, of each line in each channel
 BROADBAND_POWER = (0.1, 10.0)  # the same of the whole band
 _SINES = 48  # of the broadband vibration
-PING = 0.02  # s, over which the DVL measures
+PING = 0.02  # s, over which the DVL measures unless its model has a time
 
 #: Variances per sample of white noise with the density of the coloured noise at f = 0.
 COLOURED = (1e-3, 0.05)
@@ -68,7 +68,7 @@ class Disturbances:
 
     def instrument(self, dvl: DvlModel) -> DvlModel:
         """The DVL of this vehicle."""
-        dvl = replace(dvl, ping=PING)
+        dvl = replace(dvl, ping=dvl.ping or PING)
         if self.dvl is None:
             return dvl
         return replace(
@@ -241,4 +241,5 @@ def _drawn_vibration(rate: float, rng: np.random.Generator) -> tuple[Vibration, 
 def _log_uniform(
     limits: tuple[float, float], rng: np.random.Generator, size: int | tuple[int, int]
 ) -> Array:
-    return np.asarray(np.exp(rng.uniform(*np.log(limits), size)), dtype=np.float64)
+    low, high = np.log(limits)
+    return np.asarray(np.exp(rng.uniform(low, high, size)), dtype=np.float64)

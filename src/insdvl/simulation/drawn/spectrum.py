@@ -38,16 +38,18 @@ class Spectrum:
             numerator: Of the transfer function; its degree is one below the denominator's.
             denominator: Of degree 1 or 2.
         """
-        total = self.white * energy(numerator, denominator)
+        total: float = self.white * energy(numerator, denominator)
         for variance, tau in self.first_order:
             pairs = zip((*denominator, 0.0), (0.0, *denominator), strict=True)
             longer = [a + b / tau for a, b in pairs]  # times s + 1 / tau
             total += 2.0 * variance / tau * energy(numerator, longer)
         for variance, frequency in self.lines:
             s = 2j * pi * frequency
-            total += variance * abs(np.polyval(numerator, s) / np.polyval(denominator, s)) ** 2
+            total += (
+                variance * float(abs(np.polyval(numerator, s) / np.polyval(denominator, s))) ** 2
+            )
         # Behind the differentiator that makes it, such an error passes as it is.
-        return float(total + self.bounded * (numerator[0] / denominator[0]) ** 2)
+        return total + self.bounded * (numerator[0] / denominator[0]) ** 2
 
     def mean_density(self, duration: float) -> float:
         """Variance of the integral over a time [s], divided by this time [unit^2/Hz]."""

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import pi, radians, sqrt
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -37,12 +38,11 @@ class Sea:
 
     def moved(self, trajectory: Trajectory) -> Trajectory:
         """A trajectory with the sines added."""
-
-        def rougher(name: str) -> Channel:
+        changed: dict[str, Any] = {}
+        for name, added in self.added.items():
             channel: Channel = getattr(trajectory, name)
-            return replace(channel, waves=channel.waves + self.added[name])
-
-        return replace(trajectory, **{name: rougher(name) for name in self.added})
+            changed[name] = replace(channel, waves=channel.waves + added)
+        return replace(trajectory, **changed)
 
 
 def drawn_sea(rng: np.random.Generator) -> Sea:
@@ -53,7 +53,8 @@ def drawn_sea(rng: np.random.Generator) -> Sea:
         frequencies = np.clip(peak * rng.uniform(*SPREAD, _SINES), *PEAK)
         amplitudes = np.full(_SINES, strength * sigma * sqrt(2.0 / _SINES))
         if name in STEERING:
-            steered = np.exp(rng.uniform(*np.log(STEERING_FREQUENCY), _SINES))
+            low, high = np.log(STEERING_FREQUENCY)
+            steered = np.exp(rng.uniform(low, high, _SINES))
             rate = STEERING[name] * sqrt(2.0 / _SINES)
             frequencies = np.concatenate([frequencies, steered])
             amplitudes = np.concatenate([amplitudes, rate / (2.0 * pi * steered)])
