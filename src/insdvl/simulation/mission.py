@@ -163,11 +163,13 @@ def simulate(
     profile_rng, noise_rng, bias_rng, dvl_rng, depth_rng, heading_rng, drawn_rng = streams
     dt = 1.0 / imu.rate
     drawn: Disturbances | None = None
+    ideal = _shared
     if isinstance(noise, Scenario):
         draw_rng, error_rng = drawn_rng.spawn(2)
         drawn = noise.draw(duration, imu.rate, draw_rng)
-        trajectory, dvl, noise = drawn.moved(trajectory), drawn.instrument(dvl), noise.profile()
-    ideal = _shared if drawn is None else _ideal
+        moved = drawn.moved(trajectory)
+        ideal = _shared if moved is trajectory else _ideal
+        trajectory, dvl, noise = moved, drawn.instrument(dvl), noise.profile()
     elapsed_ns, truth, f_b, w_ib_b = ideal(trajectory, duration, imu.rate, earth_rate)
     readings = np.hstack([f_b, w_ib_b])
 

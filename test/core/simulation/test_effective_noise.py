@@ -218,3 +218,30 @@ def test_pings_with_a_slow_error_count_as_a_larger_variance():
     expected = 4e-4 + 9e-4 * (weights @ covariance @ weights) / (weights @ weights)
     found = measured(np.array([4e-4]), 9e-4, tau, k_1, interval)
     np.testing.assert_allclose(found, [expected], rtol=1e-9)
+
+
+def matched_variance(tau, dvl, variance=1e-4):
+    """Variance after a ping of the filter which has the first-order error as a state."""
+    steps = 200
+    dt = dvl.interval / steps
+    a = np.exp(-dt / tau)
+    F, Q = np.eye(2), np.zeros((2, 2))
+    step = np.array([[1.0, tau * (1.0 - a)], [0.0, a]])
+    for _ in range(steps):
+        F = step @ F
+        Q = step @ Q @ step.T + np.diag([0.0, variance * (1.0 - a**2)])
+    H = np.array([[1.0, 0.0]])
+    P = solve_discrete_are(F.T, H.T, Q, np.array([[dvl.variance]]))
+    return float((P - P @ H.T @ H @ P / (P[0, 0] + dvl.variance))[0, 0])
+
+
+@pytest.mark.parametrize("sigma", [0.02, 0.1])
+@pytest.mark.parametrize("tau", [0.3, 1.0, 3.0])
+def test_a_filter_with_the_true_states_is_the_lower_bound_and_not_far(tau, sigma):
+    """Of the error after a ping, of which a filter with the effective density is told."""
+    for interval in (1.0, 0.2):
+        dvl = Dvl(sigma**2, interval)
+        k = memory_rate(vertical(Spectrum(first_order=((1e-4, tau),)), dvl), dvl)
+        told = dvl.variance * (1.0 - np.exp(-k * interval))
+        ratio = np.sqrt(told / matched_variance(tau, dvl))
+        assert 0.999 < ratio < 1.1

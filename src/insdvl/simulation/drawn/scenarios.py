@@ -61,10 +61,12 @@ class Disturbances:
     dvl: DvlErrors | None = None
 
     def moved(self, trajectory: Trajectory) -> Trajectory:
-        """The trajectory with waves, steering and vibration."""
+        """The trajectory with waves, steering and vibration; the same where there are none."""
         if self.sea is not None:
             trajectory = self.sea.moved(trajectory)
-        return replace(trajectory, vibration=self.vibration)
+        if self.vibration is not None:
+            trajectory = replace(trajectory, vibration=self.vibration)
+        return trajectory
 
     def instrument(self, dvl: DvlModel) -> DvlModel:
         """The DVL of this vehicle."""
