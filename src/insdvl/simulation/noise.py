@@ -11,6 +11,7 @@ from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.signal import lfilter
 
 from insdvl.arrays import Array
 from insdvl.files import read, shown
@@ -147,23 +148,21 @@ def from_file(path: Path) -> ProfileFactory:
     return lambda duration, rng: profile
 
 
-def gauss_markov(std: Array, step: float, size: int, rng: np.random.Generator) -> Array:
+def gauss_markov(std: Array, step: ArrayLike, size: int, rng: np.random.Generator) -> Array:
     """First-order Gauss-Markov processes (size, m) at equally spaced times, stationary.
 
     Args:
         std: (m,) sigma of each.
-        step: From one time to the next, in correlation times.
+        step: From one time to the next, in correlation times: of each (m,), or of all.
         size: Number of times.
         rng: Of the draws; a longer process begins as the shorter one.
     """
     drive = rng.standard_normal((size, std.size))
-    decay = np.exp(-step)
-    found, now = np.empty((size, std.size)), std * drive[:1]
-    for k in range(size):
-        if k > 0:
-            now = decay * now + std * np.sqrt(1.0 - decay**2) * drive[k]
-        found[k] = now.ravel()
-    return found
+    decay = np.exp(-np.broadcast_to(step, std.shape))
+    drive[:1] *= std
+    drive[1:] *= std * np.sqrt(1.0 - decay**2)
+    columns = [lfilter([1.0], [1.0, -a], x) for a, x in zip(decay, drive.T, strict=True)]
+    return np.stack(columns, axis=1)
 
 
 #: The scenarios of the evaluation.

@@ -3,11 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
 from insdvl.arrays import Array
 from insdvl.simulation.drawn.spectrum import Spectrum, flicker
-from insdvl.simulation.noise import NoiseProfile
+from insdvl.simulation.noise import NoiseProfile, gauss_markov
 
 #: Time constants of the flicker noise [s]: from a tenth of a second to longer than a mission.
 FLICKER = (0.1, 1000.0)
@@ -89,14 +88,14 @@ class ImuErrors:
         """
         coloured, flickering, phases = rng.spawn(3)
         total = np.zeros((begins.size, 6))
-        unit = _first_order(begins.size, np.asarray(self.time_constants), dt, coloured)
         if self.coloured is not None:
+            unit = gauss_markov(np.ones(6), dt / self.time_constants, begins.size, coloured)
             total += np.sqrt(self._variances(self.coloured.variance_at(begins), dt)) * unit
         if self.flicker.any():
             parts = flicker(1.0, *FLICKER)
             for (variance, tau), stream in zip(parts, flickering.spawn(len(parts)), strict=True):
-                unit = _first_order(begins.size, np.full(6, tau), dt, stream)
-                total += np.sqrt(variance * self.flicker) * unit
+                std = np.sqrt(variance * self.flicker)
+                total += gauss_markov(std, dt / tau, begins.size, stream)
         for line in self.lines:
             angle = 2.0 * np.pi * line.frequency * begins[:, None]
             phase = phases.uniform(0.0, 2.0 * np.pi, 6)
@@ -114,15 +113,3 @@ class ImuErrors:
     def _variances(self, white: Array, dt: float) -> Array:
         """Variances (K, 6) of first-order noise with the densities white dt at f = 0."""
         return white * dt / (2.0 * self.time_constants)
-
-
-def _first_order(n: int, tau: Array, dt: float, rng: np.random.Generator) -> Array:
-    """Stationary first-order noise (n, C) of variance 1, with the time constants (C,) [s].
-
-    Its decay per sample is chosen so that the density at f = 0 is 2 tau, as in continuous time.
-    """
-    decay = (2.0 * tau - dt) / (2.0 * tau + dt)
-    drive = rng.standard_normal((n, tau.size))
-    drive[1:] *= np.sqrt(1.0 - decay**2)
-    columns = [lfilter([1.0], [1.0, -a], x) for a, x in zip(decay, drive.T, strict=True)]
-    return np.stack(columns, axis=1)
