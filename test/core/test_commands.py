@@ -10,6 +10,7 @@ import pytest
 from insdvl import cli, commands
 from insdvl.commands import COMMANDS, overview, parser_of, whole_parser
 from insdvl.simulation import noise
+from insdvl.simulation.drawn.scenarios import DRAWN
 from insdvl.simulation.trajectories import AUV
 from insdvl.studies.arguments import consistency as of_consistency
 from insdvl.studies.arguments import evaluation as of_evaluation
@@ -142,7 +143,7 @@ def test_a_reader_that_has_seen_enough_is_no_error(
 
 
 def test_names_in_arguments_are_those_of_the_modules() -> None:
-    assert tuple(noise.SCENARIOS) == of_evaluation.SCENARIOS
+    assert (*noise.SCENARIOS, *DRAWN) == of_evaluation.SCENARIOS
     assert tuple(approaches.PRESETS) == of_evaluation.PRESETS
     assert of_evaluation.ROWS == approaches.ROWS
     assert AUV.duration == of_evaluation.DURATION

@@ -3,13 +3,16 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.polynomial import legendre
+from numpy.typing import ArrayLike, NDArray
 
 from insdvl.arrays import Array
 from insdvl.navigation.geometry.frames import Convention, rotation_from_rpy
 from insdvl.parameters.declaration import ParameterError, lever_arm, mount, parameter
-from insdvl.simulation.motion import Truth
+from insdvl.simulation.motion import Trajectory, Truth
 from insdvl.simulation.noise import gauss_markov
+
+_NODES = 7  # per ping: 1e-7 of a vibration of one period per ping
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,13 @@ class DvlModel:
     )
     bias_time_constant: float = parameter(
         10.0, "Correlation time of the first-order Gauss-Markov error.", unit="s", above=0.0
+    )
+    ping: float = parameter(
+        0.0,
+        "Time, centred on the stamp, over which a ping takes the mean of the velocity.",
+        unit="s",
+        low=0.0,
+        high=1.0,
     )
     outages: tuple[float, ...] = parameter(
         (0.0, 0.0),
@@ -69,17 +79,25 @@ class DvlModel:
             lever_arm=tuple(convention.body @ self.lever_arm),
         )
 
-    def errors(self, t: Array, rng: np.random.Generator) -> tuple[Array, NDArray[np.bool_]]:
+    def errors(
+        self, t: Array, rng: np.random.Generator, factors: ArrayLike = 1.0
+    ) -> tuple[Array, NDArray[np.bool_]]:
         """Errors of all pings at equally spaced times t (N,).
 
         Each kind of error has a random stream of its own: a setting changes its own error only,
         and the number of pings changes none.
+
+        Args:
+            t: [s].
+            rng: Generator of the draws.
+            factors: (N,) on the sigma of the white noise of each ping, or one for all.
 
         Returns:
             The errors (N, 3) [m/s], and which pings are outliers (N,).
         """
         white, markov, chance, directions = rng.spawn(4)
         errors = np.array(self.noise_std) * white.standard_normal((t.size, 3))
+        errors *= np.reshape(factors, (-1, 1))
         step = 1.0 / (self.rate * self.bias_time_constant)
         errors += gauss_markov(np.full(3, self.bias_std), step, t.size, markov)
         is_outlier = chance.random(t.size) < self.outlier_probability
@@ -94,6 +112,23 @@ class DvlModel:
         for start, end in zip(self.outages[::2], self.outages[1::2], strict=True):
             seen &= (t < start) | (t >= end)
         return seen
+
+
+def ideal_pings(trajectory: Trajectory, t: Array, model: DvlModel, *, earth_rate: bool) -> Array:
+    """Readings (N, 3) of a perfect DVL, each the mean over the ping [m/s].
+
+    Args:
+        trajectory: The motion.
+        t: (N,) middles of the pings [s]; what of a ping is outside of the motion is not seen.
+        model: With mount and lever arm in forward-right-down.
+        earth_rate: See `Trajectory.truth`.
+    """
+    x, w = legendre.leggauss(_NODES if model.ping > 0.0 else 1)
+    total = np.zeros((t.size, 3))
+    for node, weight in zip(x, w / w.sum(), strict=True):
+        at = np.clip(t + 0.5 * model.ping * node, 0.0, trajectory.duration)
+        total += weight * ideal_velocity(trajectory.truth(at, earth_rate=earth_rate), model)
+    return total
 
 
 def ideal_velocity(truth: Truth, model: DvlModel) -> Array:

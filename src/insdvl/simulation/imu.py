@@ -13,6 +13,7 @@ from insdvl.parameters.declaration import parameter
 from insdvl.simulation.motion import Trajectory
 
 _NODES = 3  # the error is of the order dt^6 and lies below the rounding at 10 Hz and above
+_VIBRATING_NODES = 6  # for half a period in an interval
 
 
 @dataclass(frozen=True)
@@ -48,12 +49,13 @@ def ideal_imu(
     Returns:
         f_b (N, 3) [m/s^2] and w_ib_b (N, 3) [rad/s] in forward-right-down.
     """
-    x, w = legendre.leggauss(_NODES)
+    nodes = _NODES if trajectory.vibration is None else _VIBRATING_NODES
+    x, w = legendre.leggauss(nodes)
     t = np.asarray(stamps_s)[:, None] + dt / 2.0 * (x - 1.0)
     truth = trajectory.truth(t.ravel(), earth_rate=earth_rate)
 
     def mean(values: Array) -> Array:
-        return np.ascontiguousarray(np.einsum("j,ijk->ik", w / 2.0, values.reshape(-1, _NODES, 3)))
+        return np.ascontiguousarray(np.einsum("j,ijk->ik", w / 2.0, values.reshape(-1, nodes, 3)))
 
     return mean(truth.f_b), mean(truth.w_ib_b)
 

@@ -11,12 +11,13 @@ from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.frames import CONVENTIONS
 from insdvl.parameters.declaration import ParameterError
 from insdvl.simulation.depth import DepthModel, ideal_pressure, pressure_noise
-from insdvl.simulation.dvl import DvlModel, ideal_velocity
+from insdvl.simulation.drawn.scenarios import Disturbances, Scenario
+from insdvl.simulation.dvl import DvlModel, ideal_pings
 from insdvl.simulation.heading import HeadingModel, attitudes
 from insdvl.simulation.imu import ImuModel, biases, ideal_imu, white_noise
 from insdvl.simulation.motion import Trajectory, Truth
-from insdvl.simulation.noise import NoiseProfile, ProfileFactory, chosen_profile
-from insdvl.simulation.parameters import SimulatorParameters
+from insdvl.simulation.noise import NoiseProfile, ProfileFactory
+from insdvl.simulation.parameters import SimulatorParameters, chosen_noise
 from insdvl.simulation.trajectories import trajectory_named
 
 #: Largest number of samples of a mission: 13 hours at 100 Hz. All samples are computed before the
@@ -37,11 +38,14 @@ class Mission:
         truth: Truth at the stamps of the IMU.
         f_b: (N, 3) accelerometer readings [m/s^2].
         w_ib_b: (N, 3) gyroscope readings [rad/s].
-        q: (N, 6) variance of the noise in each sample, channels as in `noise`.
+        q: (N, 6) variance of white noise in each sample, channels as in `noise`. Where the noise is
+            not white, that of the effective density (docs/explanation/effective-noise.md).
         bias: (N, 6) bias in each sample.
-        profile: The noise profile that was drawn.
+        profile: The profile of these variances.
         dvl_stamps_ns: (M,) stamps of the DVL, without those in outages.
         v_d: (M, 3) DVL readings, in DVL axes [m/s].
+        r: (M, 3) variances of their noise, effective ones where it is not white; those of
+            `DvlModel.noise_std` where `DvlModel.bias_std` is a setting [(m/s)^2].
         dvl_outlier: (M,) which DVL readings are outliers.
         depth_stamps_ns: (D,) stamps of the depth sensor; none without one.
         pressure: (D,) its readings [Pa].
@@ -61,6 +65,7 @@ class Mission:
     profile: NoiseProfile
     dvl_stamps_ns: Stamps
     v_d: Array
+    r: Array
     dvl_outlier: NDArray[np.bool_]
     depth_stamps_ns: Stamps
     pressure: Array
@@ -94,11 +99,10 @@ def _stamps(duration: float, rate: float) -> Stamps:
     return np.rint(np.arange(1, count + 1) * (NS / rate)).astype(np.int64)
 
 
-@lru_cache(maxsize=4)
-def _clean(
+def _ideal(
     trajectory: Trajectory, duration: float, rate: float, earth_rate: bool
 ) -> tuple[Stamps, Truth, Array, Array]:
-    """Stamps, truth and ideal readings, which all runs of a Monte Carlo study share."""
+    """Stamps, truth and ideal readings."""
     elapsed_ns = _stamps(duration, rate)
     t = np.minimum(elapsed_ns / NS, duration)  # a stamp may be rounded up
     truth = trajectory.truth(t, earth_rate=earth_rate)
@@ -108,9 +112,13 @@ def _clean(
     return elapsed_ns, truth, f_b, w_ib_b
 
 
+#: For motions that all runs of a Monte Carlo study share.
+_shared = lru_cache(maxsize=4)(_ideal)
+
+
 def simulate(
     trajectory: Trajectory,
-    noise: ProfileFactory,
+    noise: ProfileFactory | Scenario,
     *,
     seed: int | np.random.SeedSequence,
     duration: float | None = None,
@@ -129,7 +137,9 @@ def simulate(
 
     Args:
         trajectory: The motion.
-        noise: Factory of the noise profile, such as one of `noise.SCENARIOS`.
+        noise: Factory of the profile of white noise, such as one of `noise.SCENARIOS`; or a
+            scenario, such as those of `drawn.scenarios.DRAWN`, which also changes the motion and
+            the sensors.
         seed: Random seed.
         duration: Shorter than the trajectory [s]; all of it by default.
         imu: The IMU.
@@ -149,14 +159,24 @@ def simulate(
             f"duration must be within {1.0 / imu.rate:g} to {trajectory.duration:g} s, "
             f"got {duration!r}"
         )
-    streams = np.random.default_rng(seed).spawn(6)
-    profile_rng, noise_rng, bias_rng, dvl_rng, depth_rng, heading_rng = streams
+    streams = np.random.default_rng(seed).spawn(7)
+    profile_rng, noise_rng, bias_rng, dvl_rng, depth_rng, heading_rng, drawn_rng = streams
     dt = 1.0 / imu.rate
-    elapsed_ns, truth, f_b, w_ib_b = _clean(trajectory, duration, imu.rate, earth_rate)
+    drawn: Disturbances | None = None
+    ideal = _shared
+    if isinstance(noise, Scenario):
+        draw_rng, error_rng = drawn_rng.spawn(2)
+        drawn = noise.draw(duration, imu.rate, draw_rng)
+        moved = drawn.moved(trajectory)
+        ideal = _shared if moved is trajectory else _ideal
+        trajectory, dvl, noise = moved, drawn.instrument(dvl), noise.profile()
+    elapsed_ns, truth, f_b, w_ib_b = ideal(trajectory, duration, imu.rate, earth_rate)
+    readings = np.hstack([f_b, w_ib_b])
 
     profile = noise(duration, profile_rng)
     # A sample has the variance that holds where its interval begins.
-    q = profile.variance_at(np.concatenate([[0.0], elapsed_ns[:-1] / NS]))
+    begins = np.concatenate([[0.0], elapsed_ns[:-1] / NS])
+    q = profile.variance_at(begins)
     bias = biases(
         elapsed_ns.size,
         dt,
@@ -165,12 +185,22 @@ def simulate(
         bias_rng,
     )
     error = bias + white_noise(q, noise_rng)
+    if drawn is None:
+        readings += error
+    else:
+        error += drawn.imu.noise(begins, dt, error_rng)
+        readings = drawn.imu.counted(drawn.imu.distorted(readings) + error, dt)
 
     ping_ns = _stamps(duration, dvl.rate)
     pings = trajectory.truth(np.minimum(ping_ns / NS, duration), earth_rate=earth_rate)
-    dvl_error, is_outlier = dvl.errors(pings.t, dvl_rng)
+    factors = np.ones(pings.t.size) if drawn is None else drawn.dvl_factors(pings)
+    dvl_error, is_outlier = dvl.errors(pings.t, dvl_rng, factors)
     seen = dvl.available(pings.t)
-    v_d = ideal_velocity(pings, dvl) + dvl_error
+    v_d = ideal_pings(trajectory, pings.t, dvl, earth_rate=earth_rate) + dvl_error
+    r = np.tile(np.square(dvl.noise_std), (pings.t.size, 1))
+    if drawn is not None:
+        profile, r = drawn.effective(profile, factors, dvl, imu.rate, duration)
+        q = profile.variance_at(begins)
 
     depth_ns = _stamps(duration, depth.rate)
     dives = trajectory.truth(np.minimum(depth_ns / NS, duration), earth_rate=earth_rate)
@@ -184,13 +214,14 @@ def simulate(
         initial=trajectory.truth(np.zeros(1), earth_rate=earth_rate),
         stamps_ns=start_ns + elapsed_ns,
         truth=truth,
-        f_b=f_b + error[:, :3],
-        w_ib_b=w_ib_b + error[:, 3:],
+        f_b=np.ascontiguousarray(readings[:, :3]),
+        w_ib_b=np.ascontiguousarray(readings[:, 3:]),
         q=q,
         bias=bias,
         profile=profile,
         dvl_stamps_ns=start_ns + ping_ns[seen],
         v_d=v_d[seen],
+        r=r[seen],
         dvl_outlier=is_outlier[seen],
         depth_stamps_ns=start_ns + depth_ns,
         pressure=pressure,
@@ -215,7 +246,13 @@ def mission_of(parameters: SimulatorParameters) -> Mission:
             f"parameter 'duration' must be at most {MAX_SAMPLES / imu.rate:g} s at imu.rate "
             f"{imu.rate:g} Hz, got {duration!r}: a mission has at most {MAX_SAMPLES} samples"
         )
-    noise = chosen_profile(parameters.noise)
+    noise = chosen_noise(parameters.noise)
+    if isinstance(noise, Scenario) and min(parameters.dvl.noise_std) == 0.0:
+        raise ParameterError(
+            "parameter 'dvl.noise_std' must be > 0 with noise.profile "
+            f"{parameters.noise.profile!r}, whose effective noise depends on it; "
+            f"got {list(parameters.dvl.noise_std)!r}"
+        )
     try:
         return simulate(
             trajectory,

@@ -1,10 +1,10 @@
 """Truth as functions of time.
 
-A trajectory is four scalar functions: speed u(t), heading psi(t), pitch theta(t) and roll. Each is
-a sum of soft ramps and sine waves, which are analytic on the whole time axis. All other quantities
-follow in closed form from the functions and their derivatives:
+A trajectory is six scalar functions: speed u(t), sway and heave, heading psi(t), pitch theta(t) and
+roll. Each is a sum of soft ramps and sine waves, which are analytic on the whole time axis. All
+other quantities follow in closed form from the functions and their derivatives:
 
-    v_b  = [u, -pivot psi', 0]            sideslip in a turn
+    v_b  = [u, sway - pivot psi', heave]  sideslip in a turn
     phi  = roll + bank psi'               bank in a turn
     v_n  = C_n_b v_b
     a_n  = C_n_b (v_b' + w_nb_b x v_b)
@@ -28,6 +28,7 @@ import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import radians
+from typing import Protocol
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -47,6 +48,8 @@ from insdvl.navigation.geometry.earth import (
 )
 
 Tables = tuple[Array, Array, Array]
+#: C_n_b (N, 3, 3), then v_n, a_n and w_nb_b (N, 3), as in `Truth`.
+Motion = tuple[Array, Array, Array, Array]
 
 _NODES = 20  # per segment; the truncation of v_n is then far below the rounding
 _SEGMENT = 1.0  # s
@@ -97,7 +100,7 @@ class Channel:
 
     @cached_property
     def tables(self) -> Tables:
-        """Tables for `_channel`: (value, slope); knots (K, 3); waves (W, 3).
+        """Tables for `channel_at`: (value, slope); knots (K, 3); waves (W, 3).
 
         A knot is (time, softness, change of rate): a ramp is a pair of them.
         """
@@ -108,7 +111,7 @@ class Channel:
         waves = [(w.amplitude, 2.0 * math.pi / w.period, w.phase) for w in self.waves]
         knot_table, wave_table = np.array(knots).reshape(-1, 3), np.array(waves).reshape(-1, 3)
         ramps_at_zero = np.empty(3)
-        _channel(0.0, np.zeros(2), knot_table, np.empty((0, 3)), ramps_at_zero)
+        channel_at(0.0, np.zeros(2), knot_table, np.empty((0, 3)), ramps_at_zero)
         return np.array([self.value - ramps_at_zero[0], self.slope]), knot_table, wave_table
 
 
@@ -151,6 +154,13 @@ class Truth:
         return replace(self, p_o=p_o, gamma=gamma)
 
 
+class Vibration(Protocol):
+    """Fast motion on top of a trajectory."""
+
+    def shake(self, t: Array, speed: Channel, heading: Channel, llh: Array, motion: Motion) -> None:
+        """Add to place and motion at times t (N,)."""
+
+
 @dataclass(frozen=True)
 class Trajectory:
     """A motion from t = 0 to `duration`, and its place on the Earth.
@@ -166,6 +176,9 @@ class Trajectory:
         lat_0: Geodetic latitude of the start, which is the origin of odom [rad].
         lon_0: Its longitude [rad].
         h_0: Its height above the ellipsoid [m].
+        sway: Velocity along the body's y axis without the sideslip [m/s].
+        heave: Velocity along the body's z axis [m/s].
+        vibration: On top of all of this (drawn/vibration.py).
     """
 
     duration: float
@@ -178,6 +191,9 @@ class Trajectory:
     lat_0: float = radians(32.0)
     lon_0: float = radians(34.0)
     h_0: float = -5.0
+    sway: Channel = field(default_factory=Channel)
+    heave: Channel = field(default_factory=Channel)
+    vibration: Vibration | None = None
 
     @property
     def origin(self) -> Array:
@@ -204,20 +220,24 @@ class Trajectory:
         n = t.size
         llh = np.empty((n, 3))
         _place(t, _SEGMENT, self._place_table, self.origin, llh)
+        C_n_b = np.empty((n, 3, 3))
+        v_n, a_n, w_nb_b = np.empty((3, n, 3))
+        self._fill_motion(t, C_n_b, v_n, a_n, w_nb_b)
+        if self.vibration is not None:
+            self.vibration.shake(t, self.speed, self.heading, llh, (C_n_b, v_n, a_n, w_nb_b))
         p_o, gamma = odom.in_odom(llh, self.origin)
         truth = Truth(
             t=t,
             llh=llh,
             p_o=p_o,
             gamma=gamma,
-            v_n=np.empty((n, 3)),
-            a_n=np.empty((n, 3)),
-            C_n_b=np.empty((n, 3, 3)),
+            v_n=v_n,
+            a_n=a_n,
+            C_n_b=C_n_b,
             f_b=np.empty((n, 3)),
             w_ib_b=np.empty((n, 3)),
-            w_nb_b=np.empty((n, 3)),
+            w_nb_b=w_nb_b,
         )
-        self._fill_motion(t, truth.C_n_b, truth.v_n, truth.a_n, truth.w_nb_b)
         _sensors(
             earth_rate,
             truth.C_n_b,
@@ -234,6 +254,8 @@ class Trajectory:
         _motion(
             t,
             self.speed.tables,
+            self.sway.tables,
+            self.heave.tables,
             self.heading.tables,
             self.pitch.tables,
             self.roll.tables,
@@ -291,7 +313,7 @@ def _integral(rate: Array, x: Array, w: Array) -> Array:
 
 
 @kernel
-def _channel(t: float, line: Array, knots: Array, waves: Array, out: Array) -> None:
+def channel_at(t: float, line: Array, knots: Array, waves: Array, out: Array) -> None:
     """Value, first and second derivative of a `Channel` at t into ``out`` (3,).
 
     A knot adds softness * rate * log(1 + exp(x)), x = (t - time) / softness.
@@ -323,6 +345,8 @@ def _channel(t: float, line: Array, knots: Array, waves: Array, out: Array) -> N
 def _motion(
     t: Array,
     speed: Tables,
+    sway: Tables,
+    heave: Tables,
     heading: Tables,
     pitch: Tables,
     roll: Tables,
@@ -333,14 +357,17 @@ def _motion(
     a_n: Array,
     w_nb_b: Array,
 ) -> None:
-    """Attitude, velocity, acceleration and turn rate from the four channels at times t (N,)."""
-    u, psi, theta, phi = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    """Attitude, velocity, acceleration and turn rate from the channels at times t (N,)."""
+    u, y, z = np.empty(3), np.empty(3), np.empty(3)
+    psi, theta, phi = np.empty(3), np.empty(3), np.empty(3)
     b = np.empty(3)
     for i in range(t.size):
-        _channel(t[i], speed[0], speed[1], speed[2], u)
-        _channel(t[i], heading[0], heading[1], heading[2], psi)
-        _channel(t[i], pitch[0], pitch[1], pitch[2], theta)
-        _channel(t[i], roll[0], roll[1], roll[2], phi)
+        channel_at(t[i], speed[0], speed[1], speed[2], u)
+        channel_at(t[i], sway[0], sway[1], sway[2], y)
+        channel_at(t[i], heave[0], heave[1], heave[2], z)
+        channel_at(t[i], heading[0], heading[1], heading[2], psi)
+        channel_at(t[i], pitch[0], pitch[1], pitch[2], theta)
+        channel_at(t[i], roll[0], roll[1], roll[2], phi)
         phi[0] += bank * psi[1]
         phi[1] += bank * psi[2]
 
@@ -357,12 +384,12 @@ def _motion(
         w_y = theta[1] * cr + psi[1] * cp * sr
         w_z = -theta[1] * sr + psi[1] * cp * cr
 
-        v_x, v_y = u[0], -pivot * psi[1]
-        b[0] = u[1] - w_z * v_y
-        b[1] = -pivot * psi[2] + w_z * v_x
-        b[2] = w_x * v_y - w_y * v_x
+        v_x, v_y, v_z = u[0], y[0] - pivot * psi[1], z[0]
+        b[0] = u[1] - w_z * v_y + w_y * v_z
+        b[1] = y[1] - pivot * psi[2] + w_z * v_x - w_x * v_z
+        b[2] = z[1] + w_x * v_y - w_y * v_x
         for j in range(3):
-            v_n[i, j] = C[j, 0] * v_x + C[j, 1] * v_y
+            v_n[i, j] = C[j, 0] * v_x + C[j, 1] * v_y + C[j, 2] * v_z
             a_n[i, j] = C[j, 0] * b[0] + C[j, 1] * b[1] + C[j, 2] * b[2]
         w[0], w[1], w[2] = w_x, w_y, w_z
 

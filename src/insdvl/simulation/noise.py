@@ -11,10 +11,10 @@ from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.signal import lfilter
 
 from insdvl.arrays import Array
 from insdvl.files import read, shown
-from insdvl.parameters.declaration import ParameterError, parameter
 
 ACCELEROMETER_VARIANCE = 0.01  # (m/s^2)^2
 GYROSCOPE_VARIANCE = 0.001  # (rad/s)^2
@@ -148,23 +148,21 @@ def from_file(path: Path) -> ProfileFactory:
     return lambda duration, rng: profile
 
 
-def gauss_markov(std: Array, step: float, size: int, rng: np.random.Generator) -> Array:
+def gauss_markov(std: Array, step: ArrayLike, size: int, rng: np.random.Generator) -> Array:
     """First-order Gauss-Markov processes (size, m) at equally spaced times, stationary.
 
     Args:
         std: (m,) sigma of each.
-        step: From one time to the next, in correlation times.
+        step: From one time to the next, in correlation times: of each (m,), or of all.
         size: Number of times.
         rng: Of the draws; a longer process begins as the shorter one.
     """
     drive = rng.standard_normal((size, std.size))
-    decay = np.exp(-step)
-    found, now = np.empty((size, std.size)), std * drive[:1]
-    for k in range(size):
-        if k > 0:
-            now = decay * now + std * np.sqrt(1.0 - decay**2) * drive[k]
-        found[k] = now.ravel()
-    return found
+    decay = np.exp(-np.broadcast_to(step, std.shape))
+    drive[:1] *= std
+    drive[1:] *= std * np.sqrt(1.0 - decay**2)
+    columns = [lfilter([1.0], [1.0, -a], x) for a, x in zip(decay, drive.T, strict=True)]
+    return np.stack(columns, axis=1)
 
 
 #: The scenarios of the evaluation.
@@ -185,71 +183,3 @@ SCENARIO_TEXTS: Mapping[str, str] = MappingProxyType(
         "wide": "each channel in [1e-5, 0.05], a new value every 15 to 45 s",
     }
 )
-
-
-@dataclass(frozen=True)
-class NoiseParameters:
-    """White noise of the simulated IMU."""
-
-    profile: str = parameter(
-        "varying",
-        "Variances of the IMU noise: those of a scenario ("
-        + "; ".join(f"{name}: {text}" for name, text in SCENARIO_TEXTS.items())
-        + "), where 'constant' takes its values from the parameters below; two levels in turn for "
-        "all channels (on-off); or those in a file.",
-        choices=(*SCENARIOS, "on-off", "file"),
-    )
-    accelerometer_variance: tuple[float, ...] = parameter(
-        (ACCELEROMETER_VARIANCE,) * 3,
-        "Variance per sample of the profile 'constant', and of 'on-off' when off.",
-        unit="(m/s^2)^2",
-        low=0.0,
-        length=3,
-    )
-    gyroscope_variance: tuple[float, ...] = parameter(
-        (GYROSCOPE_VARIANCE,) * 3,
-        "Variance per sample of the profile 'constant', and of 'on-off' when off.",
-        unit="(rad/s)^2",
-        low=0.0,
-        length=3,
-    )
-    on_factor: float = parameter(
-        20.0,
-        "Factor on the variances of 'on-off' when on.",
-        low=0.0,
-        high=1e9,
-    )
-    half_period: float = parameter(
-        30.0, "Time between the switches of 'on-off'.", unit="s", low=0.1
-    )
-    file: str = parameter(
-        "",
-        "CSV file of the profile 'file': time from the start, then the variances of f_b x, y, z "
-        "and w_ib_b x, y, z that apply from then on.",
-    )
-
-    def __post_init__(self) -> None:
-        if (self.profile == "file") != bool(self.file):
-            raise ParameterError(
-                "parameter 'noise.file' must name a file if noise.profile is 'file', and only "
-                f"then; got {shown(self.file)} with noise.profile {self.profile!r}"
-            )
-
-
-def chosen_profile(parameters: NoiseParameters) -> ProfileFactory:
-    """The profile that the parameters describe.
-
-    Raises:
-        ParameterError: The file cannot be used.
-    """
-    level = np.array([*parameters.accelerometer_variance, *parameters.gyroscope_variance])
-    if parameters.profile == "constant":
-        return constant(level)
-    if parameters.profile == "on-off":
-        return on_off(level, parameters.on_factor * level, parameters.half_period)
-    if parameters.profile == "file":
-        try:
-            return from_file(Path(parameters.file))
-        except ValueError as error:
-            raise ParameterError(f"parameter 'noise.file': {error}") from None
-    return SCENARIOS[parameters.profile]

@@ -1,14 +1,78 @@
 """Parameters of the simulator."""
 
 from dataclasses import dataclass, field
+from pathlib import Path
 
-from insdvl.parameters.declaration import check_frames, parameter
+import numpy as np
+
+from insdvl.files import shown
+from insdvl.parameters.declaration import ParameterError, check_frames, parameter
 from insdvl.simulation.depth import DepthModel
+from insdvl.simulation.drawn.scenarios import DRAWN, Scenario
 from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.heading import HeadingModel
 from insdvl.simulation.imu import ImuModel
-from insdvl.simulation.noise import NoiseParameters
+from insdvl.simulation.noise import (
+    ACCELEROMETER_VARIANCE,
+    GYROSCOPE_VARIANCE,
+    SCENARIO_TEXTS,
+    SCENARIOS,
+    ProfileFactory,
+    constant,
+    from_file,
+    on_off,
+)
 from insdvl.simulation.trajectories import NAMES
+
+
+@dataclass(frozen=True)
+class NoiseParameters:
+    """Noise of the simulated IMU, and of what else a scenario draws."""
+
+    profile: str = parameter(
+        "varying",
+        "Variances of the IMU noise: those of a scenario ("
+        + "; ".join(f"{name}: {text}" for name, text in SCENARIO_TEXTS.items())
+        + "), where 'constant' takes its values from the parameters below; two levels in turn for "
+        "all channels (on-off); or those in a file. Or a scenario with noise that is not white, "
+        f"vibration and waves ({', '.join(DRAWN)}; docs/explanation/effective-noise.md has them).",
+        choices=(*SCENARIOS, *DRAWN, "on-off", "file"),
+    )
+    accelerometer_variance: tuple[float, ...] = parameter(
+        (ACCELEROMETER_VARIANCE,) * 3,
+        "Variance per sample of the profile 'constant', and of 'on-off' when off.",
+        unit="(m/s^2)^2",
+        low=0.0,
+        length=3,
+    )
+    gyroscope_variance: tuple[float, ...] = parameter(
+        (GYROSCOPE_VARIANCE,) * 3,
+        "Variance per sample of the profile 'constant', and of 'on-off' when off.",
+        unit="(rad/s)^2",
+        low=0.0,
+        length=3,
+    )
+    on_factor: float = parameter(
+        20.0,
+        "Factor on the variances of 'on-off' when on.",
+        low=0.0,
+        high=1e9,
+    )
+    half_period: float = parameter(
+        30.0, "Time between the switches of 'on-off'.", unit="s", low=0.1
+    )
+    file: str = parameter(
+        "",
+        "CSV file of the profile 'file': time from the start, then the variances of f_b x, y, z "
+        "and w_ib_b x, y, z that apply from then on.",
+    )
+
+    def __post_init__(self) -> None:
+        if (self.profile == "file") != bool(self.file):
+            raise ParameterError(
+                "parameter 'noise.file' must name a file if noise.profile is 'file', and only "
+                f"then; got {shown(self.file)} with noise.profile {self.profile!r}"
+            )
 
 
 @dataclass(frozen=True)
@@ -60,7 +124,9 @@ class SimulatorParameters:
         high=60.0,
     )
     publish_covariance: bool = parameter(
-        False, "Put the true variances of each sample in imu/data_raw; otherwise zeros (unknown)."
+        False,
+        "Put the true variances of each sample in imu/data_raw, effective ones where the noise is "
+        "not white; otherwise zeros (unknown).",
     )
     earth_rate: bool = parameter(True, "Simulate the rotation of the Earth.")
     noise: NoiseParameters = field(default_factory=NoiseParameters)
@@ -71,3 +137,22 @@ class SimulatorParameters:
 
     def __post_init__(self) -> None:
         check_frames(self.odom_frame, self.base_frame)
+
+
+def chosen_noise(parameters: NoiseParameters) -> ProfileFactory | Scenario:
+    """The profile or the scenario that the parameters describe.
+
+    Raises:
+        ParameterError: The file cannot be used.
+    """
+    level = np.array([*parameters.accelerometer_variance, *parameters.gyroscope_variance])
+    if parameters.profile == "constant":
+        return constant(level)
+    if parameters.profile == "on-off":
+        return on_off(level, parameters.on_factor * level, parameters.half_period)
+    if parameters.profile == "file":
+        try:
+            return from_file(Path(parameters.file))
+        except ValueError as error:
+            raise ParameterError(f"parameter 'noise.file': {error}") from None
+    return SCENARIOS.get(parameters.profile) or DRAWN[parameters.profile]

@@ -7,6 +7,7 @@ import pytest
 
 from insdvl.navigation.geometry.frames import ENU, rotation_from_rpy
 from insdvl.parameters.declaration import ParameterError, build
+from insdvl.simulation.drawn.scenarios import DRAWN
 from insdvl.simulation.dvl import DvlModel, ideal_velocity
 from insdvl.simulation.imu import ideal_imu
 from insdvl.simulation.mission import ImuModel, mission_of, simulate
@@ -46,7 +47,7 @@ def test_one_seed_is_one_mission_to_the_bit():
 @pytest.mark.parametrize(
     ("changed", "what_differs"),
     [
-        ({"dvl": DvlModel(noise_std=(0.2,) * 3)}, {"v_d"}),
+        ({"dvl": DvlModel(noise_std=(0.2,) * 3)}, {"v_d", "r"}),
         ({"dvl": DvlModel(bias_std=0.1)}, {"v_d"}),
         ({"dvl": DvlModel(outlier_probability=0.3)}, {"v_d", "dvl_outlier"}),
         ({"dvl": DvlModel(lever_arm=(1.0, 0.0, 0.0))}, {"v_d"}),
@@ -67,7 +68,7 @@ def test_an_outage_takes_pings_away_and_changes_no_other():
     left = (base.dvl_stamps_ns < 10_000_000_000) | (base.dvl_stamps_ns >= 20_000_000_000)
     np.testing.assert_array_equal(cut.dvl_stamps_ns, base.dvl_stamps_ns[left])
     np.testing.assert_array_equal(cut.v_d, base.v_d[left])
-    assert differing(base, cut) == {"dvl_stamps_ns", "v_d", "dvl_outlier"}
+    assert differing(base, cut) == {"dvl_stamps_ns", "v_d", "r", "dvl_outlier"}
 
 
 def test_another_profile_scales_the_same_draws():
@@ -223,12 +224,12 @@ def test_mount_and_lever_arm_are_in_the_axes_of_the_stream():
     np.testing.assert_allclose(one.v_d @ ENU.body, expected, atol=1e-12)
 
 
-@pytest.mark.parametrize("profile", ["constant", "constant-tableI", "varying", "wide"])
+@pytest.mark.parametrize("profile", [*SCENARIOS, "coloured", "realistic"])
 def test_scenarios_by_parameter(profile):
     mission = mission_of(
         build(SimulatorParameters, {"noise.profile": profile, "seed": 8, "duration": 50.0})
     )
-    expected = simulate(AUV, SCENARIOS[profile], seed=8, duration=50.0)
+    expected = simulate(AUV, {**SCENARIOS, **DRAWN}[profile], seed=8, duration=50.0)
     assert differing(mission, expected) == set()
 
 
@@ -251,6 +252,10 @@ def test_noise_file_by_parameter(tmp_path):
         (
             {"noise.profile": "file", "noise.file": "absent"},
             r"parameter 'noise\.file': cannot read the noise profile",
+        ),
+        (
+            {"noise.profile": "waves", "dvl.noise_std": [0.1, 0.1, 0.0]},
+            r"'dvl\.noise_std' must be > 0 with noise\.profile 'waves'.* got \[0\.1, 0\.1, 0\.0\]",
         ),
         ({"noise.profile": "pink"}, r"parameter 'noise\.profile' must be one of constant"),
         ({"dvl.outages": [1.0, 2.0, 3.0]}, r"'dvl\.outages' must be pairs .* got \[1\.0, 2\.0, 3"),

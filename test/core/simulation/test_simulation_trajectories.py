@@ -31,6 +31,8 @@ LIVELY = Trajectory(
     heading=Channel(0.3, slope=0.05, ramps=(Ramp(20.0, 30.0, 2.0, 1.5),), waves=(Wave(0.1, 9.0),)),
     pitch=Channel(0.1, ramps=(Ramp(15.0, 20.0, -0.4),), waves=(Wave(0.05, 8.0, 1.0),)),
     roll=Channel(-0.1, waves=(Wave(0.2, 6.0, 2.0),)),
+    sway=Channel(0.1, waves=(Wave(0.3, 11.0, 0.5),)),
+    heave=Channel(-0.2, waves=(Wave(0.25, 10.0, 1.5),)),
     bank=0.5,
     pivot=0.6,
     lat_0=math.radians(-41.0),

@@ -7,7 +7,10 @@ from insdvl.commands import examples
 from insdvl.jobs.arguments import add_worker_options
 
 #: The names that the modules of the study define; a test holds that they are the same.
-SCENARIOS = ("constant", "constant-tableI", "varying", "wide")
+SCENARIOS = (
+    *("constant", "constant-tableI", "varying", "wide"),
+    *("vibrating", "coloured", "waves", "realistic"),
+)
 PRESETS = ("calibrated", "paper", "paper-no-walk")
 ROWS = (
     "constant 0.01/0.001",
@@ -43,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--scenario",
         default="varying",
         metavar="NAME",
-        help=f"noise of the IMU: {', '.join(SCENARIOS)} (default: varying)",
+        help=f"noise and motion: {', '.join(SCENARIOS)} (default: varying)",
     )
     parser.add_argument(
         "--preset",
@@ -56,6 +59,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="",
         metavar="NAME",
         help=f"{' or '.join(ERROR_STATES)} (default: that of the preset)",
+    )
+    parser.add_argument(
+        "--dvl-std",
+        type=float,
+        default=0.1,
+        metavar="M/S",
+        help="noise of the DVL, one sigma (default: 0.1)",
     )
     parser.add_argument("--gate", action="store_true", help="use the chi-square gate")
     parser.add_argument(

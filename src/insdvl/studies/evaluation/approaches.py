@@ -14,6 +14,7 @@ import numpy as np
 
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build, flatten
+from insdvl.simulation.drawn.scenarios import DRAWN
 from insdvl.simulation.initial_errors import P_0
 from insdvl.simulation.trajectories import AUV
 from insdvl.tuner.features.closed_form import degree_5
@@ -120,11 +121,13 @@ class Setting:
         preset: Key of `PRESETS`.
         error_state: ``invariant`` or ``ned``; empty selects that of the preset.
         gate: Whether the chi-square gate is on.
+        dvl_std: Noise of each component of a ping on the DVL's data sheet, one sigma [m/s].
     """
 
     preset: str
     error_state: str = ""
     gate: bool = False
+    dvl_std: float = 0.1
 
     def filter(self, variances: Sequence[float] = FIRST, **values: Any) -> FilterParameters:
         """Parameters of a filter.
@@ -141,6 +144,8 @@ class Setting:
             **flatten(P_0, "initial."),
             "initial.mode": "set_odometry",
             "gate.enabled": self.gate,
+            "dvl.covariance": "message",
+            "dvl.noise_std": (self.dvl_std,) * 3,
             "process_noise.accelerometer_variance": (float(variances[0]),) * 3,
             "process_noise.gyroscope_variance": (float(variances[1]),) * 3,
         }
@@ -176,14 +181,18 @@ def _adaptive(
 _F_DECADES = (1e-4, 1e-3, 1e-2, 1e-1, 1.0)
 _W_DECADES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
 _STEPS = tuple(10.0 ** (step / 3.0) for step in range(-1, 2))
+#: Decades of the gyroscopes in the scenarios of `DRAWN`, whose gyroscopes are better.
+_W_DECADES_DRAWN = (1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5)
 _XI_GRID = (1, 2, 5, 10, 20, 50)
 _TAU_GRID = (1.0, 3.0, 10.0, 30.0)
 
 
-def constants(setting: Setting, around: Approach | None = None) -> tuple[Approach, ...]:
+def constants(
+    setting: Setting, scenario: str, around: Approach | None = None
+) -> tuple[Approach, ...]:
     """Candidates for the best constant Q: over decades, or in finer steps around the best one."""
     if around is None:
-        grid = product(_F_DECADES, _W_DECADES)
+        grid = product(_F_DECADES, _W_DECADES_DRAWN if scenario in DRAWN else _W_DECADES)
     else:
         f, w = nominal(around)
         grid = product([f * step for step in _STEPS], [w * step for step in _STEPS])

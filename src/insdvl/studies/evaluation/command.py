@@ -9,6 +9,7 @@ from insdvl.files import check_writable, json_text, write
 from insdvl.jobs.options import workers_from
 from insdvl.jobs.pool import TaskError, open_pool
 from insdvl.jobs.store import Store
+from insdvl.simulation.drawn.scenarios import DRAWN
 from insdvl.simulation.noise import SCENARIOS
 from insdvl.simulation.trajectories import AUV
 from insdvl.studies.arguments.evaluation import ERROR_STATES
@@ -18,6 +19,8 @@ from insdvl.studies.evaluation.comparison import Plan, compare
 from insdvl.studies.evaluation.options import check_names, check_numbers
 from insdvl.studies.report.plots import draw_errors_over_time
 from insdvl.tuner.models import load_model
+
+EVALUATED = (*SCENARIOS, *DRAWN)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -54,12 +57,14 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _plan(arguments: argparse.Namespace) -> Plan:
     rows = ROWS if arguments.rows is None else tuple(arguments.rows.split(","))
-    check_names("--scenario", [arguments.scenario], SCENARIOS)
+    check_names("--scenario", [arguments.scenario], EVALUATED)
     check_names("--preset", [arguments.preset], PRESETS)
     if arguments.error_state:
         check_names("--error-state", [arguments.error_state], ERROR_STATES)
     check_names("--rows", rows, ROWS)
     check_numbers(arguments)
+    if not 1e-3 <= arguments.dvl_std <= 10.0:
+        raise ValueError(f"--dvl-std must be within 0.001 to 10 m/s, got {arguments.dvl_std:g}")
     if arguments.duration is not None and not 10.0 <= arguments.duration <= AUV.duration:
         raise ValueError(
             f"--duration must be within 10 to {AUV.duration:g} s, got {arguments.duration:g}"
@@ -70,7 +75,7 @@ def _plan(arguments: argparse.Namespace) -> Plan:
         rows += (f"{OWN_MODEL}{arguments.model}",)
     return Plan(
         scenario=arguments.scenario,
-        setting=Setting(arguments.preset, arguments.error_state, arguments.gate),
+        setting=Setting(arguments.preset, arguments.error_state, arguments.gate, arguments.dvl_std),
         runs=arguments.runs,
         tuning_runs=arguments.tuning_runs,
         seed=arguments.seed,

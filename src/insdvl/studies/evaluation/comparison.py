@@ -80,7 +80,7 @@ def compare(plan: Plan, pool: Pool, store: Store | None = None) -> Comparison:
     """Do the searches, fold all runs and summarise them."""
     omitted = unavailable(plan.rows)
     rows = [row for row in plan.rows if row not in omitted]
-    study = Study(plan.scenario, plan.seed, plan.duration)
+    study = Study(plan.scenario, plan.seed, plan.duration, plan.setting.dvl_std)
     approaches, searches = _approaches(rows, plan, study, pool, store)
 
     results = pool.compute(
@@ -151,11 +151,11 @@ def _approaches(
         return best
 
     if any(row in _SEARCHED for row in rows):
-        coarse = constants(setting)
+        coarse = constants(setting, plan.scenario)
         coarse_errors = mean_errors(coarse, "constants, coarse")
         for metric, row in enumerate((BEST_CONSTANT, BEST_CONSTANT_SRMSE)):
             around = coarse[int(np.argmin(coarse_errors[:, metric]))]
-            fine = constants(setting, around)
+            fine = constants(setting, plan.scenario, around)
             choose(row, fine, mean_errors(fine, f"{row}, fine"), metric)
         for row, candidates in adaptives(setting, nominal(found[BEST_CONSTANT])).items():
             if row in rows:

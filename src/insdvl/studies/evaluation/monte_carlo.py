@@ -20,6 +20,8 @@ from insdvl.navigation.events import NS, Event, Initial, ProcessNoise
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.odometry import position_in_odom
 from insdvl.navigation.parameters import FilterParameters
+from insdvl.simulation.drawn.scenarios import DRAWN, Scenario
+from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.initial_errors import P_0, drawn_initial
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import SCENARIOS, ProfileFactory, segments
@@ -44,9 +46,11 @@ _INITIAL = 2002
 
 #: Shortest and longest time between changes [s] of the profiles of the study of window and rate.
 CHANGES = MappingProxyType({"fast": (2.0, 6.0), "varying": (15.0, 45.0), "slow": (60.0, 180.0)})
-#: Noise profiles: the scenarios, and those of `CHANGES`.
-PROFILES: Mapping[str, ProfileFactory] = MappingProxyType(
-    {name: segments(1e-3, 0.05, *times) for name, times in CHANGES.items()} | dict(SCENARIOS)
+#: Noise profiles: the scenarios, those of `CHANGES`, and those that are not white.
+PROFILES: Mapping[str, ProfileFactory | Scenario] = MappingProxyType(
+    {name: segments(1e-3, 0.05, *times) for name, times in CHANGES.items()}
+    | dict(SCENARIOS)
+    | dict(DRAWN)
 )
 
 #: Numbers of an approach in a run; nan where one is undefined.
@@ -85,11 +89,13 @@ class Study:
         scenario: Key of `PROFILES`.
         seed: Random seed of all runs.
         duration: Length [s], at most that of the trajectory; None for the whole trajectory.
+        dvl_std: Noise of each component of a ping on the DVL's data sheet, one sigma [m/s].
     """
 
     scenario: str
     seed: int
     duration: float | None = None
+    dvl_std: float = 0.1
 
 
 def numbered(runs: int) -> dict[str, int]:
@@ -100,7 +106,8 @@ def numbered(runs: int) -> dict[str, int]:
 def mission_of_run(study: Study, split: int, run: int) -> Mission:
     """The mission of a run, the same for all approaches."""
     stream = np.random.SeedSequence(study.seed, spawn_key=(split, run))
-    return simulate(AUV, PROFILES[study.scenario], seed=stream, duration=study.duration)
+    dvl = DvlModel(noise_std=(study.dvl_std,) * 3)
+    return simulate(AUV, PROFILES[study.scenario], seed=stream, duration=study.duration, dvl=dvl)
 
 
 def initial_of_run(mission: Mission, study: Study, split: int, run: int) -> Initial:
@@ -123,29 +130,41 @@ class Run:
         truth = self.mission.truth
         self.truth = track(truth.C_n_b, truth.v_n, truth.p_o)
         self._received: dict[str, tuple[Stamps, Array]] = {}
-        initial = initial_of_run(self.mission, study, split, number)
-        pings = zip(self.mission.dvl_stamps_ns.tolist(), self.mission.v_d, strict=True)
-        self._events: list[Event] = [initial, *(Dvl(stamp_ns, v_d) for stamp_ns, v_d in pings)]
+        self._initial = initial_of_run(self.mission, study, split, number)
 
     def fold(self, approach: Approach) -> FoldResult:
-        """The mission through the filter of an approach, with the Q that it receives."""
+        """The mission through the filter of an approach, with the Q and R that it receives."""
         if not approach.q_source:
             return self.fold_received(approach.parameters, np.empty(0, np.int64), np.empty((0, 6)))
         if approach.q_source not in self._received:
             self._received[approach.q_source] = self._variances(approach.q_source)
-        return self.fold_received(approach.parameters, *self._received[approach.q_source])
+        return self.fold_received(
+            approach.parameters,
+            *self._received[approach.q_source],
+            told_r=approach.q_source == ORACLE,
+        )
 
     def fold_received(
-        self, parameters: FilterParameters, stamps_ns: Stamps, variances: Array
+        self,
+        parameters: FilterParameters,
+        stamps_ns: Stamps,
+        variances: Array,
+        *,
+        told_r: bool = False,
     ) -> FoldResult:
-        """The mission through a filter that receives variances (K, 6) from stamps (K,) on."""
+        """The mission through a filter that receives variances (K, 6) from stamps (K,) on.
+
+        With ``told_r`` it also receives the true variances of the pings.
+        """
         m = self.mission
         received: list[Event] = [
             ProcessNoise(stamp_ns, np.diag(q[:3]), np.diag(q[3:]))
             for stamp_ns, q in zip(stamps_ns.tolist(), variances, strict=True)
         ]
+        pings = zip(m.dvl_stamps_ns.tolist(), m.v_d, m.r, strict=True)
+        measured = [Dvl(stamp, v_d, np.diag(r) if told_r else None) for stamp, v_d, r in pings]
+        events = [self._initial, *measured, *received]
         every = round(parameters.imu.rate) // _NEES_RATE
-        events = self._events + received
         return fold_arrays(parameters, m.stamps_ns, m.f_b, m.w_ib_b, events, every)
 
     def learned(self, estimate: Estimator, window: int, rate: float) -> tuple[Stamps, Array]:
