@@ -24,10 +24,10 @@ from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.odometry import odometry
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build, flatten
-from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.initial_errors import P_0
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import SCENARIOS, constant
+from insdvl.simulation.sensors.dvl import DvlModel
 from insdvl.simulation.trajectories import trajectory_named
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.output import FoldResult

@@ -33,9 +33,9 @@ from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.prediction.kept import TRACK, Kept
 from insdvl.parameters.declaration import build
-from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import SCENARIOS
+from insdvl.simulation.sensors.dvl import DvlModel
 from insdvl.simulation.trajectories import trajectory_named
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.recorded import fold_arrays

@@ -9,11 +9,11 @@ from recordings import record
 
 from insdvl.recordings.bag_reader import RecordedTopic
 from insdvl.recordings.base import Raw
-from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.grades import GRADES
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.motion import Trajectory
 from insdvl.simulation.noise import constant
+from insdvl.simulation.sensors.dvl import DvlModel
 from insdvl.simulation.trajectories import AUV
 
 START_NS = 1_700_000_000 * 10**9

@@ -10,14 +10,14 @@ from insdvl.arrays import Array, Stamps
 from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.frames import CONVENTIONS
 from insdvl.parameters.declaration import ParameterError
-from insdvl.simulation.depth import DepthModel, ideal_pressure, pressure_noise
 from insdvl.simulation.drawn.scenarios import Disturbances, Scenario
-from insdvl.simulation.dvl import DvlModel, ideal_pings
-from insdvl.simulation.heading import HeadingModel, attitudes
-from insdvl.simulation.imu import ImuModel, biases, ideal_imu, white_noise
 from insdvl.simulation.motion import Trajectory, Truth
 from insdvl.simulation.noise import NoiseProfile, ProfileFactory
 from insdvl.simulation.parameters import SimulatorParameters, chosen_noise
+from insdvl.simulation.sensors.depth import DepthModel, ideal_pressure, pressure_noise
+from insdvl.simulation.sensors.dvl import DvlModel, ideal_pings
+from insdvl.simulation.sensors.heading import HeadingModel, attitudes
+from insdvl.simulation.sensors.imu import ImuModel, biases, ideal_imu, white_noise
 from insdvl.simulation.trajectories import trajectory_named
 
 #: Largest number of samples of a mission: 13 hours at 100 Hz. All samples are computed before the

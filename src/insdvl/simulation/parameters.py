@@ -7,11 +7,7 @@ import numpy as np
 
 from insdvl.files import shown
 from insdvl.parameters.declaration import ParameterError, check_frames, parameter
-from insdvl.simulation.depth import DepthModel
 from insdvl.simulation.drawn.scenarios import DRAWN, Scenario
-from insdvl.simulation.dvl import DvlModel
-from insdvl.simulation.heading import HeadingModel
-from insdvl.simulation.imu import ImuModel
 from insdvl.simulation.noise import (
     ACCELEROMETER_VARIANCE,
     GYROSCOPE_VARIANCE,
@@ -22,6 +18,10 @@ from insdvl.simulation.noise import (
     from_file,
     on_off,
 )
+from insdvl.simulation.sensors.depth import DepthModel
+from insdvl.simulation.sensors.dvl import DvlModel
+from insdvl.simulation.sensors.heading import HeadingModel
+from insdvl.simulation.sensors.imu import ImuModel
 from insdvl.simulation.trajectories import NAMES
 
 

@@ -23,10 +23,10 @@ from insdvl.navigation.geometry.frames import (
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import ParameterError, build
 from insdvl.recordings.base import new_message
-from insdvl.simulation.heading import HeadingModel
 from insdvl.simulation.messages import StreamFormat, heading_messages, topics_of
 from insdvl.simulation.mission import simulate
 from insdvl.simulation.noise import SCENARIOS
+from insdvl.simulation.sensors.heading import HeadingModel
 from insdvl.simulation.trajectories import AUV
 
 STAMP = 5 * NS

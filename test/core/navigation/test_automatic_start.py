@@ -18,10 +18,10 @@ from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.start import automatic, gyrocompass
 from insdvl.navigation.state import State
 from insdvl.parameters.declaration import ParameterError, build
-from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.grades import GRADES, Grade
 from insdvl.simulation.mission import simulate
 from insdvl.simulation.noise import constant
+from insdvl.simulation.sensors.dvl import DvlModel
 from insdvl.simulation.trajectories import AUV
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.output import FoldResult

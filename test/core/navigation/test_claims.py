@@ -20,10 +20,10 @@ from insdvl.navigation.parameters import (
     ProcessNoiseParameters,
 )
 from insdvl.navigation.state import READINGS
-from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.initial_errors import drawn_initial
 from insdvl.simulation.mission import ImuModel, Mission, simulate
 from insdvl.simulation.noise import constant
+from insdvl.simulation.sensors.dvl import DvlModel
 from insdvl.simulation.trajectories import AUV
 from insdvl.timeline.output import FoldResult
 from insdvl.timeline.recorded import fold_arrays

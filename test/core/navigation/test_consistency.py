@@ -31,11 +31,11 @@ from insdvl.navigation.parameters import (
     OriginParameters,
     ProcessNoiseParameters,
 )
-from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.initial_errors import P_0, drawn_initial
 from insdvl.simulation.mission import ImuModel, simulate
 from insdvl.simulation.motion import Truth
 from insdvl.simulation.noise import constant
+from insdvl.simulation.sensors.dvl import DvlModel
 from insdvl.simulation.trajectories import AUV
 from insdvl.timeline.recorded import fold_arrays
 

@@ -8,10 +8,10 @@ from insdvl.navigation.events import Event, Initial
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import DvlParameters, FilterParameters
 from insdvl.parameters.declaration import ParameterError, build
-from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.grades import GRADES
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import constant
+from insdvl.simulation.sensors.dvl import DvlModel
 from insdvl.simulation.trajectories import AUV
 from insdvl.timeline.output import FoldResult
 from insdvl.timeline.recorded import fold_arrays

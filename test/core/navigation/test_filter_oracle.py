@@ -20,8 +20,8 @@ from insdvl.navigation.parameters import (
     OriginParameters,
     ProcessNoiseParameters,
 )
-from insdvl.simulation.imu import ideal_imu
 from insdvl.simulation.initial_errors import P_0
+from insdvl.simulation.sensors.imu import ideal_imu
 from insdvl.simulation.trajectories import Channel, Ramp, Trajectory, Wave
 from insdvl.studies.faults.soak import steps
 from insdvl.timeline.recorded import fold_arrays

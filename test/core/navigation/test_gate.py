@@ -21,10 +21,10 @@ from insdvl.navigation.parameters import (
     OriginParameters,
     ProcessNoiseParameters,
 )
-from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.initial_errors import P_0, drawn_initial
 from insdvl.simulation.mission import ImuModel, Mission, simulate
 from insdvl.simulation.noise import constant, segments
+from insdvl.simulation.sensors.dvl import DvlModel
 from insdvl.simulation.trajectories import AUV
 from insdvl.timeline.output import FoldResult
 from insdvl.timeline.recorded import fold_arrays

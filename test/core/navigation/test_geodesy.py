@@ -24,8 +24,8 @@ from insdvl.navigation.odometry import odometry
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import ParameterError, build
 from insdvl.simulation.grades import GRADES
-from insdvl.simulation.imu import ideal_imu
 from insdvl.simulation.motion import Channel, Ramp, Trajectory
+from insdvl.simulation.sensors.imu import ideal_imu
 from insdvl.studies.consistency.flights import Case, fly
 from insdvl.timeline.recorded import fold_arrays
 

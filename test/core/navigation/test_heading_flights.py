@@ -20,8 +20,8 @@ from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.start import automatic
 from insdvl.navigation.start.parameters import InitialParameters
 from insdvl.simulation.grades import GRADES
-from insdvl.simulation.heading import HeadingModel
 from insdvl.simulation.mission import Mission
+from insdvl.simulation.sensors.heading import HeadingModel
 from insdvl.studies.consistency.errors import Flown, errors, heading_deg, heading_sigma_deg, nees
 from insdvl.studies.consistency.flights import (
     Case,

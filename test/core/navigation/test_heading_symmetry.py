@@ -38,12 +38,12 @@ from insdvl.navigation.parameters import (
     ImuParameters,
     OriginParameters,
 )
-from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.grades import GRADES
 from insdvl.simulation.initial_errors import P_0
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.motion import Channel, Ramp, Trajectory, Wave
 from insdvl.simulation.noise import constant
+from insdvl.simulation.sensors.dvl import DvlModel
 from insdvl.studies.consistency.flights import process_noise_of
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.recorded import fold_arrays

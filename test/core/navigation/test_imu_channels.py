@@ -20,10 +20,10 @@ from insdvl.navigation.parameters import (
     ProcessNoiseParameters,
 )
 from insdvl.parameters.declaration import ParameterError, build
-from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.initial_errors import P_0
 from insdvl.simulation.mission import ImuModel, Mission, simulate
 from insdvl.simulation.noise import constant
+from insdvl.simulation.sensors.dvl import DvlModel
 from insdvl.simulation.trajectories import AUV
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.output import FoldResult

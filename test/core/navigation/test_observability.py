@@ -32,10 +32,10 @@ from insdvl.navigation.parameters import (
     OriginParameters,
     ProcessNoiseParameters,
 )
-from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.initial_errors import P_0
 from insdvl.simulation.mission import ImuModel, Mission, simulate
 from insdvl.simulation.noise import constant
+from insdvl.simulation.sensors.dvl import DvlModel
 from insdvl.simulation.trajectories import Channel, Ramp, Trajectory, Wave
 from insdvl.timeline.output import FoldResult
 from insdvl.timeline.recorded import fold_arrays

@@ -18,12 +18,12 @@ from insdvl.navigation.parameters import (
     FilterParameters,
     OriginParameters,
 )
-from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.grades import GRADES
 from insdvl.simulation.initial_errors import P_0
 from insdvl.simulation.mission import simulate
 from insdvl.simulation.motion import Channel, Ramp, Trajectory, Wave
 from insdvl.simulation.noise import constant
+from insdvl.simulation.sensors.dvl import DvlModel
 from insdvl.studies.consistency.flights import process_noise_of
 from insdvl.timeline.recorded import fold_arrays
 

@@ -21,8 +21,8 @@ from insdvl.navigation.parameters import (
     OriginParameters,
 )
 from insdvl.navigation.prediction.kept import Kept
-from insdvl.simulation.imu import ideal_imu
 from insdvl.simulation.initial_errors import P_0
+from insdvl.simulation.sensors.imu import ideal_imu
 from insdvl.simulation.trajectories import AUV, LOOP, STATIC, Channel, Ramp, Trajectory, Wave
 from insdvl.timeline.recorded import fold_arrays
 

@@ -16,10 +16,10 @@ from insdvl.simulation.drawn.scenarios import (
     GYROSCOPE,
     TIME_CONSTANT,
 )
-from insdvl.simulation.dvl import DvlModel
-from insdvl.simulation.imu import ideal_imu
 from insdvl.simulation.mission import simulate
 from insdvl.simulation.noise import NoiseProfile
+from insdvl.simulation.sensors.dvl import DvlModel
+from insdvl.simulation.sensors.imu import ideal_imu
 from insdvl.simulation.trajectories import AUV
 
 NONE = ImuErrors(

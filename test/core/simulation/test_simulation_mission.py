@@ -8,11 +8,11 @@ import pytest
 from insdvl.navigation.geometry.frames import ENU, rotation_from_rpy
 from insdvl.parameters.declaration import ParameterError, build
 from insdvl.simulation.drawn.scenarios import DRAWN
-from insdvl.simulation.dvl import DvlModel, ideal_velocity
-from insdvl.simulation.imu import ideal_imu
 from insdvl.simulation.mission import ImuModel, mission_of, simulate
 from insdvl.simulation.noise import SCENARIOS, NoiseProfile, constant
 from insdvl.simulation.parameters import SimulatorParameters
+from insdvl.simulation.sensors.dvl import DvlModel, ideal_velocity
+from insdvl.simulation.sensors.imu import ideal_imu
 from insdvl.simulation.trajectories import AUV, BASELINE
 
 VARYING = SCENARIOS["varying"]

@@ -6,8 +6,8 @@ from scipy.integrate import quad_vec
 from scipy.stats import chi2, kstest, norm
 
 from insdvl.navigation.geometry.frames import rotation_from_rpy
-from insdvl.simulation.dvl import DvlModel, ideal_velocity
-from insdvl.simulation.imu import biases, ideal_imu, white_noise
+from insdvl.simulation.sensors.dvl import DvlModel, ideal_velocity
+from insdvl.simulation.sensors.imu import biases, ideal_imu, white_noise
 from insdvl.simulation.trajectories import AUV, BASELINE, LOOP
 
 

@@ -12,9 +12,9 @@ from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build
 from insdvl.simulation.drawn.scenarios import DRAWN
 from insdvl.simulation.drawn.vibration import SPEED, TURN, Vibration, drawn_sines
-from insdvl.simulation.dvl import DvlModel, ideal_pings, ideal_velocity
-from insdvl.simulation.imu import ideal_imu
 from insdvl.simulation.mission import simulate
+from insdvl.simulation.sensors.dvl import DvlModel, ideal_pings, ideal_velocity
+from insdvl.simulation.sensors.imu import ideal_imu
 from insdvl.simulation.trajectories import AUV
 from insdvl.timeline.recorded import fold_arrays
 

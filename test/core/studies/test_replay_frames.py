@@ -19,11 +19,11 @@ from insdvl.parameters.declaration import build
 from insdvl.recordings.bag_reader import BagReader
 from insdvl.recordings.base import Raw, decode, encode, new_message
 from insdvl.recordings.messages import message_of
-from insdvl.simulation.dvl import DvlModel
-from insdvl.simulation.heading import HeadingModel
 from insdvl.simulation.messages import heading_messages
 from insdvl.simulation.mission import simulate
 from insdvl.simulation.noise import constant
+from insdvl.simulation.sensors.dvl import DvlModel
+from insdvl.simulation.sensors.heading import HeadingModel
 from insdvl.simulation.trajectories import AUV
 
 DURATION = 6.0

@@ -15,10 +15,10 @@ from insdvl.recordings.bag_reader import BagReader
 from insdvl.recordings.bag_writer import BagWriter
 from insdvl.recordings.base import decode, encode
 from insdvl.recordings.messages import message_of
-from insdvl.simulation.heading import HeadingModel
 from insdvl.simulation.messages import heading_messages, imu_messages
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import constant
+from insdvl.simulation.sensors.heading import HeadingModel
 from insdvl.simulation.trajectories import AUV
 from insdvl.studies.replay.fold import fold_recording, read
 from insdvl.studies.replay.output_bag import write_bag

@@ -14,7 +14,7 @@ import pytest
 from insdvl import cli
 from insdvl.jobs.options import Workers
 from insdvl.jobs.pool import open_pool
-from insdvl.simulation.imu import ideal_imu
+from insdvl.simulation.sensors.imu import ideal_imu
 from insdvl.simulation.trajectories import BASELINE
 from insdvl.studies.arguments.training import add_arguments
 from insdvl.studies.training import dataset, ensemble

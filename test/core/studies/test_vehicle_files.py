@@ -20,10 +20,10 @@ from insdvl.recordings.base import Raw, encode
 from insdvl.recordings.drivers import PLAIN, Told, dvl_message, dvl_raw
 from insdvl.recordings.messages import imu_message
 from insdvl.recordings.parameters import ReplayParameters
-from insdvl.simulation.dvl import DvlModel
-from insdvl.simulation.imu import ImuModel
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import constant
+from insdvl.simulation.sensors.dvl import DvlModel
+from insdvl.simulation.sensors.imu import ImuModel
 from insdvl.simulation.trajectories import AUV
 from insdvl.studies.replay.fold import fold_recording, read
 

@@ -13,7 +13,7 @@ import pytest
 from insdvl import cli
 from insdvl.jobs.options import Workers
 from insdvl.jobs.pool import open_pool
-from insdvl.simulation.imu import ideal_imu
+from insdvl.simulation.sensors.imu import ideal_imu
 from insdvl.simulation.trajectories import BASELINE
 from insdvl.studies.training import dataset
 from insdvl.studies.training.dataset import Recipe

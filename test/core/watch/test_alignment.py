@@ -13,9 +13,9 @@ from insdvl.navigation.events import NS, Event, Imu
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build
-from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.mission import ImuModel, Mission, simulate
 from insdvl.simulation.noise import SCENARIOS, constant
+from insdvl.simulation.sensors.dvl import DvlModel
 from insdvl.simulation.trajectories import AUV, BASELINE, LOOP, STATIC
 from insdvl.studies.replay.fold import fold_recording
 from insdvl.studies.replay.scores import report

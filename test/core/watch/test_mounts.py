@@ -14,11 +14,11 @@ from insdvl.arrays import Array
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build
-from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.grades import GRADES
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.motion import Channel, Trajectory, Wave
 from insdvl.simulation.noise import constant
+from insdvl.simulation.sensors.dvl import DvlModel
 from insdvl.studies.consistency.flights import SURVEY
 from insdvl.watch.alignment.check import AlignmentCheck
 

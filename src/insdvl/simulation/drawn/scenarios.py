@@ -16,9 +16,9 @@ from insdvl.simulation.drawn.effective import Dvl, gains, horizontal, measured, 
 from insdvl.simulation.drawn.imu_errors import ImuErrors, Line
 from insdvl.simulation.drawn.vibration import Vibration, drawn_sines
 from insdvl.simulation.drawn.waves import Sea, drawn_sea
-from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.motion import Trajectory, Truth
 from insdvl.simulation.noise import NoiseProfile, ProfileFactory, segments
+from insdvl.simulation.sensors.dvl import DvlModel
 
 #: Range of the variances per sample of the white noise of an accelerometer [(m/s^2)^2].
 WHITE = (1e-4, 0.05)

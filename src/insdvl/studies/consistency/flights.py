@@ -24,13 +24,13 @@ from insdvl.navigation.odometry import odometry
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.process_noise.parameters import ProcessNoiseParameters
 from insdvl.navigation.start.parameters import InitialParameters, OriginParameters
-from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.grades import Grade
-from insdvl.simulation.heading import HeadingModel
 from insdvl.simulation.initial_errors import drawn_initial
 from insdvl.simulation.mission import DEFAULT_HEADING, Mission, simulate
 from insdvl.simulation.motion import Channel, Ramp, Trajectory, Truth, Wave
 from insdvl.simulation.noise import constant
+from insdvl.simulation.sensors.dvl import DvlModel
+from insdvl.simulation.sensors.heading import HeadingModel
 from insdvl.studies.consistency.errors import Flown, errors, heading_deg, heading_sigma_deg
 from insdvl.studies.evaluation import metrics
 from insdvl.timeline.recorded import fold_arrays

@@ -12,7 +12,7 @@ from insdvl.arrays import Array
 from insdvl.jobs.pool import Pool
 from insdvl.jobs.store import Store
 from insdvl.simulation.grades import GRADES
-from insdvl.simulation.heading import HeadingModel
+from insdvl.simulation.sensors.heading import HeadingModel
 from insdvl.studies.consistency.errors import (
     ALL,
     BLOCKS,

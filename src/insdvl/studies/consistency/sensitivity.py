@@ -13,11 +13,11 @@ from insdvl.jobs.store import Store
 from insdvl.navigation.events import Event
 from insdvl.navigation.measurements.depth import STANDARD_GRAVITY, Depth, DepthParameters
 from insdvl.navigation.measurements.dvl import Dvl
-from insdvl.simulation.depth import DepthModel
-from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.grades import GRADES
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import constant
+from insdvl.simulation.sensors.depth import DepthModel
+from insdvl.simulation.sensors.dvl import DvlModel
 from insdvl.studies.consistency.flights import (
     RATE,
     Case,

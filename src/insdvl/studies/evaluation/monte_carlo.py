@@ -21,10 +21,10 @@ from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.odometry import position_in_odom
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.simulation.drawn.scenarios import DRAWN, Scenario
-from insdvl.simulation.dvl import DvlModel
 from insdvl.simulation.initial_errors import P_0, drawn_initial
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import SCENARIOS, ProfileFactory, segments
+from insdvl.simulation.sensors.dvl import DvlModel
 from insdvl.simulation.trajectories import AUV
 from insdvl.studies.evaluation.approaches import ORACLE, Approach, estimator
 from insdvl.studies.evaluation.metrics import (

@@ -13,9 +13,6 @@ from insdvl.messages.convert import RejectedMessage
 from insdvl.messages.topics import PROCESS_NOISE
 from insdvl.navigation.events import NS
 from insdvl.recordings.messages import message_of
-from insdvl.simulation.depth import DepthModel
-from insdvl.simulation.dvl import DvlModel
-from insdvl.simulation.heading import HeadingModel
 from insdvl.simulation.messages import (
     depth_messages,
     dvl_messages,
@@ -25,6 +22,9 @@ from insdvl.simulation.messages import (
 )
 from insdvl.simulation.mission import ImuModel, Mission, simulate
 from insdvl.simulation.noise import constant
+from insdvl.simulation.sensors.depth import DepthModel
+from insdvl.simulation.sensors.dvl import DvlModel
+from insdvl.simulation.sensors.heading import HeadingModel
 from insdvl.simulation.trajectories import AUV
 from insdvl.tuner.republish import set_learned, tune
 from insdvl.tuner.tuner import Tuner

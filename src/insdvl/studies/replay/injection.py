@@ -11,8 +11,8 @@ from insdvl.messages.topics import IMU, PROCESS_NOISE, TRUE_PROCESS_NOISE
 from insdvl.navigation.events import NS
 from insdvl.recordings.base import Raw, decode, encode
 from insdvl.recordings.messages import imu_message
-from insdvl.simulation.imu import white_noise
 from insdvl.simulation.noise import segments
+from insdvl.simulation.sensors.imu import white_noise
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,8 @@ import numpy as np
 from insdvl.arrays import Array
 from insdvl.jobs.pool import Pool
 from insdvl.jobs.store import Store
-from insdvl.simulation.imu import ideal_imu
 from insdvl.simulation.motion import Trajectory
+from insdvl.simulation.sensors.imu import ideal_imu
 from insdvl.simulation.trajectories import AUV, BASELINE
 from insdvl.studies.evaluation.approaches import LEARNED, estimator, unavailable
 from insdvl.studies.report.markdown import number, table

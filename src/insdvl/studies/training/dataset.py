@@ -22,7 +22,7 @@ from insdvl.arrays import Array
 from insdvl.jobs.pool import Pool
 from insdvl.jobs.store import Store
 from insdvl.jobs.tasks import Result
-from insdvl.simulation.imu import ideal_imu, white_noise
+from insdvl.simulation.sensors.imu import ideal_imu, white_noise
 from insdvl.simulation.trajectories import BASELINE
 from insdvl.tuner.features.schemas import SCHEMAS
 from insdvl.tuner.windows import CHANNELS

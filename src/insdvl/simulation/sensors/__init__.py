@@ -1,0 +1,1 @@
+"""Models of the sensors: what each reads of the truth, and its errors."""
