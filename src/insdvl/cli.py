@@ -16,6 +16,7 @@ COMMANDS = {
         "train a process noise model on simulations",
     ),
     "replay": ("insdvl.studies.replay.command", "run the filter over a rosbag2 recording"),
+    "report": ("insdvl.studies.report.command", "write the page of a replay, or of two"),
     "evaluate": (
         "insdvl.studies.evaluation.command",
         "compare sources of process noise on simulations",
