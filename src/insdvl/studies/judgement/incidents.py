@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from insdvl.navigation.events import NS
-from insdvl.navigation.state import COUNTERS
+from insdvl.navigation.state import counters
 from insdvl.studies.replay.fold import Replayed
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.output import FoldResult
@@ -48,8 +48,8 @@ def _of_part(part: Fold | FoldResult) -> Iterator[tuple[str, list[int], list[int
     """Name, stamps and numbers of what happened at them."""
     states = part.states
     stamps_ns = states["channels"]["imu_ns"]
-    for name in COUNTERS:
-        steps = np.diff(states["counters"][name], prepend=0)
+    for name, (group, field) in counters(states).items():
+        steps = np.diff(group[field], prepend=0)
         at = np.flatnonzero(steps > 0)
         yield name, stamps_ns[at].tolist(), steps[at].tolist()
     refused: dict[str, list[int]] = {}
