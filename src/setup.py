@@ -18,7 +18,7 @@ setup(
     license="Apache-2.0",
     python_requires=">=3.10",
     packages=find_packages(),
-    package_data={NAME: MODELS},
+    package_data={NAME: MODELS, f"{NAME}.studies.report": ["assets/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -33,6 +33,7 @@ setup(
         "jobs": ["joblib", "threadpoolctl"],  # insdvl evaluate, train and results
         "onnx": ["onnxruntime"],  # models/*.onnx
         "plot": ["matplotlib"],  # pictures of insdvl evaluate and results
+        "report": ["plotly"],  # report.html of insdvl replay and report
         "test": ["hypothesis", "pytest", "python-ins"],
         "train": ["joblib", "scikit-learn", "threadpoolctl"],  # insdvl train
     },

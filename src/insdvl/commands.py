@@ -82,7 +82,14 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
             "replay",
             "run the filter over a rosbag2 recording",
             goal="navigate it",
-            example="dive --config my.yaml --json my.json",
+            example="dive -c my.yaml --out run1",
+            failed="with --strict, the verdict has a finding",
+        ),
+        "report": _study(
+            "report",
+            "write the page of a replay, or of two",
+            goal="look at it again",
+            example="run1 run2 -o both.html",
         ),
         "train": _study(
             "training",

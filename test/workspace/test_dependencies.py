@@ -36,10 +36,11 @@ EXTRAS = {
     "jobs": {"joblib", "threadpoolctl"},
     "onnx": {"onnxruntime"},
     "plot": {"matplotlib"},
+    "report": {"plotly"},
     "train": {"joblib", "sklearn", "threadpoolctl"},
 }
-#: Imported within functions only, where an option asks for them.
-OPTIONAL = EXTRAS["cli"] | EXTRAS["dask"] | EXTRAS["dnn"] | EXTRAS["onnx"]
+#: Imported within functions only, where an option asks for them or their absence is told.
+OPTIONAL = EXTRAS["cli"] | EXTRAS["dask"] | EXTRAS["dnn"] | EXTRAS["onnx"] | EXTRAS["report"]
 PYTHONS = ("3.10", "3.11", "3.12", "3.13")
 
 

@@ -11,7 +11,7 @@ from insdvl.extras import extra
 from insdvl.recordings.base import BagError, Raw, typestore_with
 
 with extra("bags"):
-    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 STORAGES = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
 
@@ -22,14 +22,23 @@ class BagWriter:
 
     It is written under a hidden name beside its place and renamed when it is complete. Leaving the
     ``with`` block by an exception leaves nothing behind.
+
+    Attributes:
+        path: Folder of the recording, once it is complete.
+        folder: Where it is until then; other files that are put there go with it.
     """
 
-    def __init__(self, path: Path, storage: str = "mcap") -> None:
+    def __init__(
+        self, path: Path, storage: str = "mcap", *, name: str = "", compressed: bool = False
+    ) -> None:
         """Begin a recording.
 
         Args:
             path: Folder of the recording; it must not exist.
             storage: ``mcap`` or ``sqlite3``.
+            name: Of its data file, without suffix; that of the folder by default.
+            compressed: Whether the chunks of an MCAP file are compressed by zstd, as ``ros2 bag``
+                reads them.
 
         Raises:
             BagError: The path exists already, or the folder cannot be made.
@@ -42,9 +51,10 @@ class BagWriter:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._folder = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
-            self._writer = Writer(
-                self._folder / path.name, version=9, storage_plugin=STORAGES[storage]
-            )
+            self.folder = self._folder / (name or path.name)
+            self._writer = Writer(self.folder, version=9, storage_plugin=STORAGES[storage])
+            if compressed:
+                self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             self._writer.open()
         except (OSError, sqlite3.Error) as error:
             raise BagError(f"cannot write recording {path}: {error}") from error
@@ -98,7 +108,7 @@ class BagWriter:
             self._writer.close()
             if self.path.exists():
                 raise BagError(f"{self.path} exists already and is not overwritten")
-            (self._folder / self.path.name).rename(self.path)
+            self.folder.rename(self.path)
         except (OSError, sqlite3.Error) as error:
             raise BagError(f"cannot write recording {self.path}: {error}") from error
         finally:

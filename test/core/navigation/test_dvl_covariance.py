@@ -22,10 +22,10 @@ from insdvl.navigation.parameters import (
     OriginParameters,
     ProcessNoiseParameters,
 )
-from insdvl.simulation import dvl as simulated
 from insdvl.simulation.initial_errors import drawn_initial
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import constant
+from insdvl.simulation.sensors import dvl as simulated
 from insdvl.simulation.trajectories import AUV
 from insdvl.timeline.output import FoldResult
 from insdvl.timeline.recorded import fold_arrays

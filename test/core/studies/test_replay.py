@@ -38,6 +38,7 @@ from insdvl.studies.replay.injection import Injection
 from insdvl.studies.replay.learning import with_learned
 from insdvl.studies.replay.output_bag import write_bag
 from insdvl.studies.replay.scores import report, states_at
+from insdvl.studies.replay.track import track_of
 from insdvl.timeline.recorded import fold_arrays
 from insdvl.tuner.parameters import TunerParameters
 from insdvl.tuner.tuner import Tuner
@@ -210,7 +211,7 @@ def test_a_recording_that_begins_again_is_folded_in_parts(
     assert numbers["counts"]["time_jumps"] == 1
     assert sum(numbers["rejected"].values()) == numbers["counts"]["recovered"]
     with BagWriter(tmp_path / "out") as out:
-        write_bag(out, recording, twice, parameters)
+        write_bag(out, recording, twice, parameters, track_of(twice, 0.0))
     with BagReader(tmp_path / "out") as out:
         stamps = [raw.time_ns for raw in out.raw({"/odometry/filtered"})]
     assert sorted(stamps) == sorted(2 * mission.stamps_ns.tolist())
@@ -446,7 +447,8 @@ def test_the_recorded_outputs_replay_to_the_same_numbers(bag: Path, tmp_path: Pa
     arguments = [
         "replay", str(bag), "--config", str(config(tmp_path)), "--json", str(tmp_path / "a.json")
     ]  # fmt: skip
-    assert cli.main([*arguments, *noise, "--out", str(tmp_path / "out")]) == 0
+    out = ["--out", str(tmp_path / "out"), "--rate", "0"]
+    assert cli.main([*arguments, *noise, *out]) == 0
     again = tmp_path / "again.yaml"
     again.write_text("/insdvl_filter:\n  ros__parameters: {initial: {mode: topic}}\n")
     arguments = [

@@ -83,7 +83,7 @@ def replay(folder: Path, raws: list[Raw], **values: Any) -> tuple[int, dict[str,
         + "\n/**/insdvl_replay:\n  ros__parameters:\n    imu_topic: /imu\n    dvl_topic: /dvl\n"
         "    ground_truth_topic: /truth\n"
     )
-    paths = {"--config": config, "--json": folder / "json", "--out": out}
+    paths = {"--config": config, "--json": folder / "json", "--out": out, "--rate": 0}
     options = [str(part) for option in paths.items() for part in option]
     code = cli.main(["replay", str(bag), *options])
     return code, json.loads((folder / "json").read_text()) if code == 0 else {}, out

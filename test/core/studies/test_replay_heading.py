@@ -23,6 +23,7 @@ from insdvl.simulation.trajectories import AUV
 from insdvl.studies.replay.fold import fold_recording, read
 from insdvl.studies.replay.output_bag import write_bag
 from insdvl.studies.replay.scores import report
+from insdvl.studies.replay.track import track_of
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +69,7 @@ def test_a_heading_is_read_from_its_topic_and_from_the_messages_of_the_imu(
         assert numbers["heading_rmse_deg"] < 3.0
         found.append(replayed)
         with BagWriter(tmp_path / f"{path.name}-out") as bag:
-            write_bag(bag, recording, replayed, parameters)
+            write_bag(bag, recording, replayed, parameters, track_of(replayed, 0.0))
         with BagReader(tmp_path / f"{path.name}-out") as bag:
             innovations = [
                 decode(raw._replace(topic=raw.topic)).message

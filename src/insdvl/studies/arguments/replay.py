@@ -5,31 +5,48 @@ from pathlib import Path
 
 from insdvl.commands import examples
 
+RATE = 10.0  # Hz, of the odometry in the result
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's options."""
-    parser.epilog = examples(
-        "replay dive --config vehicle.yaml --json numbers.json",
-        "replay dive.mcap --config vehicle.yaml --json numbers.json --out result-bag",
-    )
+    parser.epilog = examples("replay dive", "replay dive -c my.yaml --out run1 --strict")
     parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2: a folder, .mcap or .db3")
     parser.add_argument(
+        "-c",
         "--config",
         type=Path,
-        required=True,
         action="append",
-        metavar="FILE",
-        help="YAML parameter file of the nodes, read as ROS reads it; the sections of filter, "
-        "tuner and replay are used. Several files are given as with --params-file, in their order",
+        metavar="YAML",
+        help="parameter file of the nodes, read as ROS reads it; the sections of filter, tuner and "
+        "replay are used (default: all defaults). Several files are given as with --params-file, "
+        "in their order",
     )
     parser.add_argument(
         "--namespace",
         metavar="NS",
         help="namespace of the nodes; by default the one that the sections are for",
     )
-    parser.add_argument("--json", type=Path, required=True, metavar="FILE", help="JSON output file")
     parser.add_argument(
-        "--out", type=Path, metavar="BAG", help="new rosbag2 for inputs and outputs"
+        "--out",
+        type=Path,
+        metavar="OUT",
+        help="new folder for the result: a rosbag2 with inputs and outputs, report.html, "
+        "track.csv, track.tum, numbers.json (default: BAG-replay in the working directory; with "
+        "--json alone none)",
+    )
+    parser.add_argument(
+        "--json", metavar="FILE", help="write the numbers to a file; - is standard output"
+    )
+    parser.add_argument(
+        "--rate",
+        type=float,
+        default=RATE,
+        metavar="HZ",
+        help=f"rate of the odometry in OUT; 0 is every sample (default: {RATE:g})",
+    )
+    parser.add_argument(
+        "--strict", action="store_true", help="exit with 1 where the verdict has a finding"
     )
     parser.add_argument(
         "--inject-noise",

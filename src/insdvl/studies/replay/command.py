@@ -5,6 +5,7 @@ import math
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict
+from pathlib import Path
 
 from insdvl.files import check_writable, json_text, write
 from insdvl.messages.topics import PROCESS_NOISE
@@ -13,24 +14,32 @@ from insdvl.parameters.declaration import ParameterError, flatten
 from insdvl.parameters.files import ParameterFile
 from insdvl.parameters.files import read as read_files
 from insdvl.parameters.sections import full_name, load, nothing_for, reaches, warnings
-from insdvl.recordings.bag_writer import BagWriter
-from insdvl.recordings.base import BagError
+from insdvl.recordings.base import BagError, Raw
 from insdvl.recordings.parameters import ReplayParameters
+from insdvl.studies.judgement.incidents import incidents_of
+from insdvl.studies.judgement.verdict import verdict
 from insdvl.studies.replay.extrinsics import with_extrinsics
 from insdvl.studies.replay.fold import fold_recording, read
 from insdvl.studies.replay.injection import Injection
 from insdvl.studies.replay.learning import with_learned
-from insdvl.studies.replay.output_bag import write_bag
+from insdvl.studies.replay.result import new_folder, write_result
 from insdvl.studies.replay.scores import report
-from insdvl.studies.replay.text import table_of
+from insdvl.studies.replay.text import table_of, verdict_of
+from insdvl.studies.report.facts import card_of, changed_parameters, versions
 from insdvl.tuner.parameters import TunerParameters
 from insdvl.watch.start import waits_for
 
+MIN_RATE, MAX_RATE = 0.01, 10_000.0
+STANDARD_OUTPUT = "-"
+
 
 def run(arguments: argparse.Namespace) -> int:
-    """Replay. The exit code is 2 if the input is refused; then nothing is written."""
+    """Replay. The exit code is 2 if the input is refused; then nothing is written.
+
+    It is 1 with ``--strict`` where the verdict has a finding.
+    """
     try:
-        _replay(arguments)
+        found = _replay(arguments)
     except MemoryError as error:
         print(f"insdvl replay: not enough memory for {arguments.bag}: {error}", file=sys.stderr)
         return 2
@@ -40,11 +49,12 @@ def run(arguments: argparse.Namespace) -> int:
         for fault in faults:
             print(f"insdvl replay: {' '.join(fault.split())}", file=sys.stderr)
         return 2
-    return 0
+    return 1 if found and arguments.strict else 0
 
 
-def _replay(arguments: argparse.Namespace) -> None:
-    _check_places(arguments)
+def _replay(arguments: argparse.Namespace) -> bool:
+    """Replay; returns whether the verdict has a finding."""
+    out = _check_places(arguments)
     filter_, tuner, replay = _parameters(arguments)
     injection = _injection(arguments)
 
@@ -52,22 +62,7 @@ def _replay(arguments: argparse.Namespace) -> None:
     filter_ = with_extrinsics(arguments.bag, recording, filter_)
     if injection is not None:
         recording = injection.applied(recording)
-    source = q_from = filter_.process_noise.source
-    if source == "external":
-        q_from = "external, recorded"
-        if PROCESS_NOISE not in {raw.topic for raw in recording}:
-            if not tuner.enabled:
-                raise ParameterError(
-                    "process_noise.source is 'external', but the recording has no process noise "
-                    "and the tuner is not enabled"
-                )
-            if 1.0 / tuner.rate > filter_.q_timeout:
-                raise ParameterError(
-                    f"parameter 'rate' of insdvl_tuner must be at least {1 / filter_.q_timeout:g} "
-                    f"Hz, got {tuner.rate!r}: q_timeout of insdvl_filter is {filter_.q_timeout:g} s"
-                )
-            recording = with_learned(recording, tuner)
-            q_from = f"external, learned by {tuner.model}"
+    recording, q_from = _with_process_noise(recording, filter_, tuner)
     replayed = fold_recording(recording, filter_)
     if not replayed.initialised.size:
         raise BagError(
@@ -75,25 +70,42 @@ def _replay(arguments: argparse.Namespace) -> None:
             f"for {waits_for(filter_)}"
         )
     document = report(recording, replayed)
+    judged = verdict(replayed, filter_, document)
     document |= {
         "bag": str(arguments.bag),
+        "configuration": _configuration(arguments.config),
         "process_noise": q_from,
         "injected_noise": asdict(injection) if injection else None,
         "parameters": {"insdvl_filter": flatten(filter_), "insdvl_tuner": flatten(tuner)},
+        "verdict": judged.numbers,
+        "incidents": [asdict(incident) for incident in incidents_of(replayed)],
+        "versions": versions(),
+        "changed_parameters": changed_parameters(filter_),
+        "model": card_of(tuner) if q_from.startswith("external, learned") else None,
     }
-    if arguments.out is None:
-        write(arguments.json, json_text(document).encode())
-    else:
-        with BagWriter(arguments.out) as bag:
-            write_bag(bag, recording, replayed, filter_)
-            write(arguments.json, json_text(document).encode())
-    print(table_of(document))
+    without_report = ""
+    if out is not None:
+        without_report = write_result(out, recording, replayed, filter_, document, arguments.rate)
+    if arguments.json == STANDARD_OUTPUT:
+        sys.stdout.write(json_text(document))
+    elif arguments.json is not None:
+        write(Path(arguments.json), json_text(document).encode())
+    words = sys.stderr if arguments.json == STANDARD_OUTPUT else sys.stdout
+    print(table_of(document), file=words)
+    if out is not None:
+        print(f"{'result':32} {out}", file=words)
+    if without_report:
+        print(f"{'report.html':32} left out: {without_report}", file=words)
+    print(verdict_of(document), file=words)
+    return bool(judged.findings)
 
 
 def _parameters(
     arguments: argparse.Namespace,
 ) -> tuple[FilterParameters, TunerParameters, ReplayParameters]:
     """The parameters of the three nodes; stderr tells what of the files has no effect."""
+    if not arguments.config:
+        return FilterParameters(), TunerParameters(), ReplayParameters()
     files = read_files(arguments.config)
     groups = {
         "insdvl_filter": FilterParameters,
@@ -125,11 +137,49 @@ def _full_name(namespace: str | None, files: Sequence[ParameterFile], node: str)
     return f"/{namespace.strip('/')}/{node}" if namespace.strip("/") else f"/{node}"
 
 
-def _check_places(arguments: argparse.Namespace) -> None:
-    """Check before the long computation that the results can be written."""
-    check_writable(arguments.json, "--json")
-    if arguments.out is not None and arguments.out.exists():
-        raise BagError(f"--out {arguments.out} exists already and is not overwritten")
+def _configuration(files: Sequence[Path] | None) -> str:
+    return ", ".join(map(str, files)) if files else "all defaults: no --config was given"
+
+
+def _with_process_noise(
+    recording: list[Raw], filter_: FilterParameters, tuner: TunerParameters
+) -> tuple[list[Raw], str]:
+    """The recording with the Q that the tuner learns, where that is asked for; and its source."""
+    source = filter_.process_noise.source
+    if source != "external":
+        return recording, source
+    if PROCESS_NOISE in {raw.topic for raw in recording}:
+        return recording, "external, recorded"
+    if not tuner.enabled:
+        raise ParameterError(
+            "process_noise.source is 'external', but the recording has no process noise "
+            "and the tuner is not enabled"
+        )
+    if 1.0 / tuner.rate > filter_.q_timeout:
+        raise ParameterError(
+            f"parameter 'rate' of insdvl_tuner must be at least {1 / filter_.q_timeout:g} "
+            f"Hz, got {tuner.rate!r}: q_timeout of insdvl_filter is {filter_.q_timeout:g} s"
+        )
+    return with_learned(recording, tuner), f"external, learned by {tuner.model}"
+
+
+def _check_places(arguments: argparse.Namespace) -> Path | None:
+    """Check before the long computation that the results can be written; the folder of the result.
+
+    Nothing is overwritten but the file of --json.
+    """
+    if not (arguments.rate == 0.0 or MIN_RATE <= arguments.rate <= MAX_RATE):
+        raise ValueError(
+            f"--rate must be 0 or within {MIN_RATE:g} to {MAX_RATE:g} Hz, got {arguments.rate:g}"
+        )
+    if arguments.json not in (None, STANDARD_OUTPUT):
+        check_writable(Path(arguments.json), "--json")
+    out: Path | None = arguments.out
+    if out is None:
+        return new_folder(arguments.bag) if arguments.json is None else None
+    if out.exists() or out.is_symlink():
+        raise BagError(f"--out {out} exists already and is not overwritten")
+    return out
 
 
 def _injection(arguments: argparse.Namespace) -> Injection | None:

@@ -17,6 +17,7 @@ from insdvl.recordings.bag_reader import BagReader
 from insdvl.recordings.base import BagError, Raw, decode
 from insdvl.recordings.parameters import ReplayParameters
 from insdvl.recordings.played import played
+from insdvl.studies.replay.taken import Taken
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.output import AppliedUpdate, FoldResult
 from insdvl.watch.alignment.check import AlignmentCheck
@@ -64,6 +65,9 @@ class Replayed:
         measurements: Name of the measurement of each topic that feeds one.
         findings: Contradictions of the frames, see `AlignmentCheck`.
         has_map: Whether the filter has a map, see `Feed`.
+        taken: The events of the last part.
+        ping_noise: Noise of the DVL from ping to ping, see `AlignmentCheck.ping_noise`; of the last
+            part.
     """
 
     fold: Fold
@@ -71,6 +75,8 @@ class Replayed:
     measurements: Mapping[str, str]
     findings: list[str]
     has_map: bool
+    taken: Taken
+    ping_noise: tuple[float, float] | None
 
     @property
     def initialised(self) -> NDArray[np.intp]:
@@ -113,14 +119,25 @@ def fold_recording(recording: Sequence[Raw], parameters: FilterParameters) -> Re
     """
     feed = Feed(parameters, capacity=sum(raw.topic == IMU for raw in recording) + 1)
     checks = [AlignmentCheck(parameters)]  # one for each part
+    taken_events = Taken()
     for events in feed_recording(recording, feed):
         if len(feed.fold.left) >= len(checks):
             checks.append(AlignmentCheck(parameters))
+            taken_events = Taken()
             continue
         for event, refusal in events:
             if refusal is None:
                 checks[-1].add(event)
+                taken_events.add(event)
     findings = {finding: None for check in checks for finding in check.findings()}
     topics = feed.inputs.topics.items()
     measurements = {name: topic.measurement for name, topic in topics if topic.measurement}
-    return Replayed(feed.fold, feed.refused, measurements, list(findings), feed.has_map)
+    return Replayed(
+        feed.fold,
+        feed.refused,
+        measurements,
+        list(findings),
+        feed.has_map,
+        taken_events,
+        checks[-1].ping_noise(),
+    )

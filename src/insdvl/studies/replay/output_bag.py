@@ -1,7 +1,6 @@
 """The recording of `insdvl replay --out`: the inputs, and what the filter node publishes."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -11,18 +10,30 @@ from insdvl.messages.make import fill_fix, fill_innovation
 from insdvl.messages.topics import GLOBAL_ODOMETRY, GLOBAL_POSITION, IMU, ODOMETRY, taken
 from insdvl.messages.transforms import TF, Transforms
 from insdvl.navigation.events import NS
-from insdvl.navigation.odometry import Odometry, Pose, biases, odometry
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.recordings.bag_writer import BagWriter
 from insdvl.recordings.base import Raw, decode, encode, new_message
-from insdvl.recordings.messages import imu_message, odometry_message
+from insdvl.recordings.messages import imu_message
+from insdvl.recordings.odometry_bytes import encode_odometries
 from insdvl.studies.replay.fold import Replayed
+from insdvl.studies.replay.track import TrackColumns
 
 
 def write_bag(
-    bag: BagWriter, recording: Sequence[Raw], replayed: Replayed, parameters: FilterParameters
+    bag: BagWriter,
+    recording: Sequence[Raw],
+    replayed: Replayed,
+    parameters: FilterParameters,
+    track: TrackColumns,
 ) -> None:
-    """Write what was folded, and all that the filter node would publish.
+    """Write what was folded, and what the filter node would publish.
+
+    Args:
+        bag: The new recording.
+        recording: What was folded.
+        replayed: The result.
+        parameters: Of the filter.
+        track: The states whose odometry is written.
 
     Raises:
         BagError: The disk cannot be written.
@@ -37,37 +48,31 @@ def write_bag(
         for name, topic in reversed(taken(parameters).items())
         if name.lstrip("/") in frame_ids
     }
-    transforms = Transforms(new_message, parameters, has_map=replayed.has_map)
-    second = None
-    initialised = [
-        (part, int(k))
-        for part in replayed.parts
-        for k in np.flatnonzero(part.states["nav"]["initialised"])
-    ]
-    for part, k in initialised:
-        state = odometry(part.filter, part.states, k)
-        bag.write(encode(f"/{ODOMETRY}", state.stamp_ns, _message(state, in_odom, state.in_odom)))
-        if parameters.publish_tf:
-            bag.write(encode(TF, state.stamp_ns, transforms.of(state)))
-        if replayed.has_map:
-            message = _message(state, in_map, state.in_map)
-            bag.write(encode(f"/{GLOBAL_ODOMETRY}", state.stamp_ns, message))
-        if state.stamp_ns // NS != second:
-            second = state.stamp_ns // NS
-            message = new_message(FIX)
-            message.header.frame_id = parameters.base_frame
-            fill_fix(message, state.stamp_ns, state.place, state.place_covariance)
-            bag.write(encode(f"/{GLOBAL_POSITION}", state.stamp_ns, message))
-            bias = biases(part.filter, part.states[k])
-            message = imu_message(
-                bias.stamp_ns,
-                frame_ids[IMU],
-                bias.accelerometer,
-                bias.gyroscope,
-                bias.accelerometer_covariance,
-                bias.gyroscope_covariance,
-            )
-            bag.write(encode("/imu/bias", bias.stamp_ns, message))
+    for raw in encode_odometries(f"/{ODOMETRY}", in_odom, track.in_odom):
+        bag.write(raw)
+    if replayed.has_map:
+        for raw in encode_odometries(f"/{GLOBAL_ODOMETRY}", in_map, track.in_map):
+            bag.write(raw)
+    if parameters.publish_tf:
+        transforms = Transforms(new_message, parameters, has_map=replayed.has_map)
+        for k, stamp_ns in enumerate(track.stamps_ns.tolist()):
+            bag.write(encode(TF, stamp_ns, transforms.of(track.odometry(k))))
+    seconds = np.diff(track.stamps_ns // NS, prepend=-1)
+    for k in np.flatnonzero(seconds):
+        stamp_ns = int(track.stamps_ns[k])
+        message = new_message(FIX)
+        message.header.frame_id = parameters.base_frame
+        fill_fix(message, stamp_ns, track.place[k], track.place_covariance[k])
+        bag.write(encode(f"/{GLOBAL_POSITION}", stamp_ns, message))
+        message = imu_message(
+            stamp_ns,
+            frame_ids[IMU],
+            track.accelerometer_bias[k],
+            track.gyroscope_bias[k],
+            track.accelerometer_bias_covariance[k],
+            track.gyroscope_bias_covariance[k],
+        )
+        bag.write(encode("/imu/bias", stamp_ns, message))
     for update in replayed.updates:
         if not np.isfinite(update.report.nis):
             continue  # refused before it was compared with a prediction
@@ -78,20 +83,6 @@ def write_bag(
         nu, S = model.in_stream(report.innovation, report.S)
         fill_innovation(message, update.stamp_ns, nu, S, angles=model.angles)
         bag.write(encode(f"/{report.measurement}/innovation", update.stamp_ns, message))
-
-
-def _message(state: Odometry, frames: tuple[str, str], pose: Pose) -> Any:
-    """The nav_msgs/Odometry of a state, with its pose in a frame."""
-    return odometry_message(
-        state.stamp_ns,
-        frames,
-        pose.position,
-        pose.quaternion_xyzw,
-        state.twist_linear,
-        state.twist_angular,
-        pose.covariance,
-        state.twist_covariance,
-    )
 
 
 def _firsts(recording: Sequence[Raw]) -> list[Raw]:

@@ -1,30 +1,38 @@
-"""The numbers of a replay as a table for the terminal."""
+"""The numbers of a replay for the terminal: the table, and the verdict in words."""
 
+from collections.abc import Iterator
 from typing import Any
+
+_ROWS = (
+    ("velocity RMSE, navigation axes", "velocity_rmse", "m/s"),
+    ("velocity RMSE, body axes", "body_velocity_rmse", "m/s"),
+    ("body velocity inside 3 sigma", "body_velocity_inside_3_sigma", ""),
+    ("position RMSE, horizontal", "position_rmse_horizontal", "m"),
+    ("depth error at the end", "depth_error_end", "m"),
+    ("its sigma", "depth_sigma_end", "m"),
+    ("heading RMSE", "heading_rmse_deg", "deg"),
+    ("tilt RMSE", "tilt_rmse_deg", "deg"),
+    ("reference stamps", "reference_stamps", ""),
+)
+_ALWAYS = (
+    ("mean NIS (3 dof)", "nis_mean", ""),
+    ("mean NIS, accepted only", "nis_mean_accepted", ""),
+    ("DVL accepted", "dvl_accepted", ""),
+    ("DVL rejected", "dvl_rejected", ""),
+    ("process noise", "process_noise", ""),
+)
 
 
 def table_of(document: dict[str, Any]) -> str:
-    """The table of the command's JSON document."""
-    rows = (
-        ("velocity RMSE, navigation axes", "velocity_rmse", "m/s"),
-        ("velocity RMSE, body axes", "body_velocity_rmse", "m/s"),
-        ("body velocity inside 3 sigma", "body_velocity_inside_3_sigma", ""),
-        ("position RMSE, horizontal", "position_rmse_horizontal", "m"),
-        ("depth error at the end", "depth_error_end", "m"),
-        ("its sigma", "depth_sigma_end", "m"),
-        ("heading RMSE", "heading_rmse_deg", "deg"),
-        ("tilt RMSE", "tilt_rmse_deg", "deg"),
-        ("reference stamps", "reference_stamps", ""),
-        ("mean NIS (3 dof)", "nis_mean", ""),
-        ("mean NIS, accepted only", "nis_mean_accepted", ""),
-        ("DVL accepted", "dvl_accepted", ""),
-        ("DVL rejected", "dvl_rejected", ""),
-        ("process noise", "process_noise", ""),
-    )
-    lines = []
-    for text, name, unit in rows:
+    """The table of the command's JSON document; errors only where there is a reference."""
+    lines = [f"{'recording':32} {document['bag']}, {document['duration']:.5g} s"]
+    lines.append(f"{'configuration':32} {document['configuration']}")
+    has_reference = document["reference_stamps"] >= 2
+    if not has_reference:
+        lines.append(f"{'reference':32} none in the recording: judged by the innovations")
+    for text, name, unit in (*(_ROWS if has_reference else ()), *_ALWAYS):
         value = document[name]
-        shown = "no reference" if value is None else value
+        shown = "unknown" if value is None else value
         if isinstance(value, float):
             shown = f"{value:.4g}"
         lines.append(f"{text:32} {shown} {unit}".rstrip())
@@ -36,3 +44,61 @@ def table_of(document: dict[str, Any]) -> str:
     lines += [f"{'not used: ' + key:32} {count}" for key, count in document["rejected"].items()]
     lines += [f"frames: {finding}" for finding in document["frames"]]
     return "\n".join(lines)
+
+
+def verdict_of(document: dict[str, Any]) -> str:
+    """The verdict: numbers with what they should be, findings, and the judgement as last line."""
+    numbers = document["verdict"]
+    lines = ["", "Is it right?", *(f"  {line}" for line in _numbers(document, numbers))]
+    for finding in numbers["findings"]:
+        lines.append(f"  - {finding['text']}")
+        if finding["remedy"]:
+            lines.append(f"    {finding['remedy']}")
+    return "\n".join([*lines, numbers["judgement"]])
+
+
+def _numbers(document: dict[str, Any], numbers: dict[str, Any]) -> Iterator[str]:
+    if innovations := numbers["innovations"]:
+        low, high = innovations["nis_bounds"]
+        yield (
+            f"NIS                {innovations['nis_mean']:.2f}, should be "
+            f"{innovations['nis_expected']:g} ({low:.2f} to {high:.2f} by chance), over all "
+            f"{innovations['judged']} that were judged; median {innovations['nis_median']:.2f}, "
+            f"should be {innovations['nis_median_expected']:.2f}"
+        )
+    if (share := numbers["refused_share"]) is not None:
+        reasons = document["dvl_rejected_by_reason"]
+        by = ", ".join(f"{name} {count}" for name, count in reasons.items())
+        yield f"refused            {100.0 * share:.1f} % of the DVL" + (f" ({by})" if by else "")
+    if innovations:
+        yield (
+            f"correlation        {innovations['autocorrelation']:+.3f} of neighbouring innovations "
+            f"(white: within {innovations['autocorrelation_bound']:.3f})"
+        )
+        means = ", ".join(
+            f"{axis} {value:+.1f}"
+            for axis, value in zip("xyz", innovations["mean_in_standard_errors"], strict=False)
+        )
+        yield f"mean innovation    {means} standard errors"
+    if noise := numbers["dvl_noise"]:
+        yield (
+            f"noise of the DVL   {noise['shown']:.2g} m/s as the recording shows it, "
+            f"{noise['told']:.2g} as told"
+        )
+    for sensor, bias in (numbers["biases"] or {}).items():
+        if bias["in_initial_sigmas"]:
+            values = ", ".join(f"{value:+.1f}" for value in bias["in_initial_sigmas"])
+            yield f"{sensor + ' bias':18} {values} of its initial sigma"
+    if position := numbers["position"]:
+        yield (
+            f"position           {position['distance']:.4g} m travelled; sigma at the end "
+            f"{position['horizontal_sigma']:.2g} m horizontally, {position['depth_sigma']:.2g} m "
+            f"in depth, {position['heading_sigma_deg']:.2g} deg in heading"
+        )
+    for w in numbers["withheld"]:
+        low, high = w["nis_bounds"]
+        yield (
+            f"{w['seconds']:3g} s without DVL  {w['error']:.2g} m/s off, sigma {w['sigma']:.2g}; "
+            f"NIS {w['nis_mean']:.2f} ({low:.2f} to {high:.2f} by chance), "
+            f"{100.0 * w['covered']:.0f} % of {w['count']} within 95 %"
+        )

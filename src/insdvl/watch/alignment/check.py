@@ -245,6 +245,17 @@ class AlignmentCheck:
             return None
         return self._terms.alignment(self._search.free(list(self._motions), best))
 
+    def ping_noise(self) -> tuple[float, float] | None:
+        """Noise of the DVL from ping to ping, one sigma of a component [m/s], and its own sigma.
+
+        None before there are enough windows. It is what is left of the windows beside their slow
+        parts, less what the IMU's own noise, as its samples show it, adds. Filter and gate have no
+        part in it.
+        """
+        if len(self._motions) < FEWEST_WINDOWS:
+            return None
+        return self._search.ping_noise(list(self._motions))
+
 
 def compile_check(parameters: FilterParameters) -> None:
     """Run a check for a moment, so that no message ever waits for a compilation."""

@@ -216,6 +216,24 @@ class Search:
             prior.mean[SCALE] = self._prior(explanation.cause).mean[SCALE]
         return self.problem(motions).fit(prior, values)
 
+    def ping_noise(self, motions: Sequence[Motion]) -> tuple[float, float]:
+        """Sigma of the DVL's noise from ping to ping [m/s], and its own sigma.
+
+        It is the median over the windows, so outliers in a few of them do not count. The variance
+        of n residuals is known to 2 / n of its square, by a median to pi / n. The unknowns are
+        free: what a mount that is not told makes of the motion is no noise.
+        """
+        noise = self.free(motions, None).noise
+        dof = noise.dof - 3.0 * len(SLOW)
+        shares = (
+            noise.rest / (1.0 - 2.0 / (9.0 * dof)) ** 3
+        )  # the median of chi-square over its dof
+        rest = float(np.median(shares))
+        of_imu = float(np.median([m.noise[-1] for m in motions]))
+        variance = max(rest - of_imu, SMALLEST**2)
+        of_variance = rest * math.sqrt(math.pi / float(dof.sum()))
+        return math.sqrt(variance), of_variance / (2.0 * math.sqrt(variance))
+
     def _climb(self, motions: Sequence[Motion], cause: Miswired) -> Array:
         """Row (16,) of the vehicle's climb when a cause is taken for right."""
         v_d = np.concatenate([m.window.v_d for m in motions]) @ cause.dvl.T

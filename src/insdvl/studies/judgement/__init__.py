@@ -1,0 +1,1 @@
+"""Whether a replay can be trusted: what does not fit, and what to set."""

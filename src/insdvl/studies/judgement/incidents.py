@@ -1,0 +1,81 @@
+"""What went wrong in a replay, and when: refused measurements, gaps, glitches, restarts, jumps."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from insdvl.navigation.events import NS
+from insdvl.navigation.state import counters
+from insdvl.studies.replay.fold import Replayed
+from insdvl.timeline.fold import Fold
+from insdvl.timeline.output import FoldResult
+
+#: What happens again within this time is one incident [s].
+TOGETHER = 5.0
+#: At most so many incidents of one kind are told; the longest of them.
+MOST = 200
+
+
+@dataclass(frozen=True)
+class Incident:
+    """Something that went wrong.
+
+    Attributes:
+        name: Of a counter, or ``measurement refused: reason``.
+        begin: Stamp [s].
+        end: Stamp [s].
+        count: How often.
+    """
+
+    name: str
+    begin: float
+    end: float
+    count: int
+
+
+def incidents_of(replayed: Replayed) -> list[Incident]:
+    """All incidents in the order of their beginning."""
+    found: list[Incident] = []
+    for part in replayed.parts:
+        for name, stamps_ns, counts in _of_part(part):
+            found += _together(name, stamps_ns, counts)
+    found += _jumps(replayed)
+    return sorted(found, key=lambda incident: incident.begin)
+
+
+def _of_part(part: Fold | FoldResult) -> Iterator[tuple[str, list[int], list[int]]]:
+    """Name, stamps and numbers of what happened at them."""
+    states = part.states
+    stamps_ns = states["channels"]["imu_ns"]
+    for name, (group, field) in counters(states).items():
+        steps = np.diff(group[field], prepend=0)
+        at = np.flatnonzero(steps > 0)
+        yield name, stamps_ns[at].tolist(), steps[at].tolist()
+    refused: dict[str, list[int]] = {}
+    for update in part.updates:
+        if not update.report.accepted and update.report.reason != "not_initialised":
+            name = f"{update.report.measurement} refused: {update.report.reason}"
+            refused.setdefault(name, []).append(update.stamp_ns)
+    for name, stamps in refused.items():
+        yield name, stamps, [1] * len(stamps)
+
+
+def _together(name: str, stamps_ns: list[int], counts: list[int]) -> list[Incident]:
+    """Neighbours in time as one incident."""
+    if not stamps_ns:
+        return []
+    breaks = np.flatnonzero(np.diff(stamps_ns) > TOGETHER * NS) + 1
+    found = [
+        Incident(name, int(s[0]) / NS, int(s[-1]) / NS, int(c.sum()))
+        for s, c in zip(
+            np.split(np.array(stamps_ns), breaks), np.split(np.array(counts), breaks), strict=True
+        )
+    ]
+    return sorted(found, key=lambda incident: incident.begin - incident.end)[:MOST]
+
+
+def _jumps(replayed: Replayed) -> list[Incident]:
+    """The beginning of each part but the first."""
+    firsts = [int(part.states["nav"]["time_ns"][0]) / NS for part in replayed.parts[1:]]
+    return [Incident("time jump", first, first, 1) for first in firsts]

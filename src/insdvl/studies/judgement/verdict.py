@@ -1,0 +1,439 @@
+"""What a replay says of its configuration, and one line of judgement with what to set.
+
+A finding needs two things: chance does not explain it, and it is large enough to matter. Both
+limits, and the model behind each rule, are in docs/explanation/verdict.md. None is fitted to a
+recording.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from insdvl.arrays import Array
+from insdvl.files import finite
+from insdvl.navigation.error_state import ATTITUDE
+from insdvl.navigation.filter import Filter
+from insdvl.navigation.measurements.dvl import Dvl
+from insdvl.navigation.odometry import odometry
+from insdvl.navigation.parameters import FilterParameters
+from insdvl.studies.evaluation.metrics import path_length
+from insdvl.studies.judgement.innovations import FEWEST, SIGMAS, statistics
+from insdvl.studies.judgement.mounting import MOST, Change, mounting, told_otherwise
+from insdvl.studies.judgement.noise import DvlNoise, dvl_noise, imu_variances
+from insdvl.studies.judgement.withheld import WINDOWS, Withheld, predictions
+from insdvl.studies.replay.fold import Replayed
+
+#: A sigma is seldom known better than by this factor; what is nearer to right is no finding.
+FACTOR = 1.5
+#: Sigmas of an unknown of the mount: the chance of any of eight is that of one other rule.
+MOUNT_SIGMAS = 4.0
+#: Share of the measurements that are refused, beyond which it is a finding.
+REFUSED = 0.02
+#: Correlation of neighbours, and mean innovation in its sigmas, beyond which they matter.
+CORRELATED, OFFSET = 0.2, 0.2
+
+
+#: What `mounting` gives.
+Mount = tuple[Change, ...]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that does not fit.
+
+    Attributes:
+        name: Short, for programs.
+        text: What does not fit.
+        remedy: What to set, and to what.
+        cautious: Whether the filter only expects larger errors than it has.
+    """
+
+    name: str
+    text: str
+    remedy: str
+    cautious: bool = False
+
+    @property
+    def sentence(self) -> str:
+        """Both in one line."""
+        return f"{self.text}: {self.remedy}" if self.remedy else self.text
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The judgement of a replay.
+
+    Attributes:
+        findings: What does not fit, the most likely cause of the others first.
+        judgement: One line.
+        numbers: For the JSON document.
+    """
+
+    findings: list[Finding]
+    judgement: str
+    numbers: dict[str, Any]
+
+
+def verdict(replayed: Replayed, parameters: FilterParameters, document: dict[str, Any]) -> Verdict:
+    """Judge a replay.
+
+    Args:
+        replayed: The folded recording.
+        parameters: Of the filter.
+        document: The numbers of `scores.report`.
+    """
+    reports = [u.report for u in replayed.updates if u.report.measurement == Dvl.name]
+    innovations = statistics(reports)
+    filter_ = replayed.fold.filter
+    used = {
+        u.stamp_ns
+        for u in replayed.fold.updates
+        if u.report.measurement == Dvl.name and u.report.corrected
+    }
+    noise = dvl_noise(replayed.taken, filter_, replayed.ping_noise)
+    # Axes or units that are wrong make the rest meaningless, and its computation long.
+    mount = None if replayed.findings else mounting(replayed.taken, parameters, used)
+    part = replayed.taken.first(MOST)
+    withheld = [
+        found
+        for seconds in WINDOWS
+        if not replayed.findings and (found := predictions(part, parameters, used, seconds))
+    ]
+    imu = imu_variances(part)
+    findings = [
+        *_of_axes(replayed),
+        *_of_start(document),
+        *_of_claims(document, filter_),
+        *_of_dvl_noise(noise, parameters),
+        *_of_mount(mount, parameters),
+        *_of_gate(document, innovations, filter_),
+        *_of_prediction(innovations, noise, withheld, parameters, imu),
+        *_of_biases(document),
+        *_of_whiteness(innovations, parameters),
+        *_of_reference(document),
+    ]
+    numbers = {
+        "innovations": innovations,
+        "refused_share": _refused_share(document),
+        "biases": _biases(filter_, replayed),
+        "position": _position(replayed),
+        "dvl_noise": asdict(noise) if noise else None,
+        "imu_variance_by_differences": imu,
+        "mounting": _of_changes(mount),
+        "withheld": [asdict(w) for w in withheld],
+        "findings": [asdict(finding) for finding in findings],
+    }
+    judgement = _judgement(findings, innovations, mount, document)
+    return Verdict(findings, judgement, finite(numbers | {"judgement": judgement}))
+
+
+def _judgement(
+    findings: list[Finding],
+    innovations: dict[str, Any] | None,
+    mount: Mount | None,
+    document: dict[str, Any],
+) -> str:
+    if findings:
+        more = f" ({len(findings) - 1} more below)" if len(findings) > 1 else ""
+        kind = "TOO CAUTIOUS" if all(finding.cautious for finding in findings) else "NOT RIGHT"
+        return f"{kind}: {findings[0].sentence}{more}"
+    if innovations is None:
+        accepted = document["dvl_accepted"]
+        return f"CANNOT TELL: only {accepted} DVL measurements were used, {FEWEST} are needed"
+    text = "FITS: nothing in the innovations contradicts the configuration"
+    if hidden := ", ".join(_not_shown(mount)):
+        text += f"; not seen by this motion: {hidden}; turns and changes of speed show it"
+    return text
+
+
+def _not_shown(mount: Mount | None) -> Iterator[str]:
+    """What the motion shows less well than it is set with care, with its sigma."""
+    if mount is None:
+        return
+    by_name = {change.unknown.name: change for change in mount}
+    for name, shown, scale, unit in (
+        ("mount_z", "the yaw of the DVL", math.degrees(1.0), "deg"),
+        ("time_offset", "its time offset", 1.0, "s"),
+        ("scale", "its scale", 100.0, "%"),
+    ):
+        change = by_name[name]
+        if change.sigma > change.unknown.careful:
+            yield f"{shown} (sigma {change.sigma * scale:.2g} {unit})"
+
+
+# ---------------------------------------------------------------- the rules
+
+
+def _of_axes(replayed: Replayed) -> Iterator[Finding]:
+    for text in replayed.findings:
+        yield Finding("axes", f"axes, units or mounts contradict the motion: {text}", "")
+
+
+def _of_start(document: dict[str, Any]) -> Iterator[Finding]:
+    for sentence in document["findings"]:
+        if sentence.startswith("heading unknown"):
+            what, _, remedy = sentence.rpartition(": set ")
+            text = f"{what.partition(' (')[0]}: position and course are not those on the map"
+            yield Finding("heading", text, f"set {remedy}")
+
+
+def _of_claims(document: dict[str, Any], filter_: Filter) -> Iterator[Finding]:
+    """What is refused by name: no lock, repeated, too fast, late, of another frame."""
+    reasons = Counter(document["dvl_rejected_by_reason"])
+    reasons.pop("gate", None)
+    if not reasons or reasons.total() < REFUSED * _count(document):
+        return
+    reason, _ = reasons.most_common(1)[0]
+    remedy = filter_.parameters.dvl.REMEDIES.get(
+        reason, "see in the report when; diagnostics.md has what the reasons mean"
+    )
+    text = f"{_share(reasons, document)}, and NIS says nothing of it"
+    yield Finding("refused", text, remedy)
+
+
+def _of_gate(
+    document: dict[str, Any], innovations: dict[str, Any] | None, filter_: Filter
+) -> Iterator[Finding]:
+    """The gate refuses one good measurement in a thousand (gate.probability)."""
+    count, refused = _count(document), Counter(document["dvl_rejected_by_reason"])["gate"]
+    expected = (1.0 - filter_.parameters.gate.probability) * count
+    if refused <= max(expected + SIGMAS * math.sqrt(expected) + 1.0, REFUSED * count):
+        return
+    if innovations and innovations["nis_median"] < FACTOR * innovations["nis_median_expected"]:
+        remedy = "the others fit: these are outliers of the DVL; see in the report when"
+    else:
+        remedy = (
+            "the DVL and the prediction contradict each other; check dvl.mount, dvl.lever_arm and "
+            "dvl.time_offset, then process_noise, and see in the report when"
+        )
+    yield Finding("gate", _share(Counter(gate=refused), document), remedy)
+
+
+def _count(document: dict[str, Any]) -> int:
+    return int(document["dvl_rejected"] + document["dvl_accepted"])
+
+
+def _share(reasons: Counter[str], document: dict[str, Any]) -> str:
+    names = ", ".join(f"{name} {n}" for name, n in reasons.most_common(3))
+    share = 100.0 * reasons.total() / _count(document)
+    return f"{share:.0f} % of the DVL was refused ({names})"
+
+
+def _of_mount(mount: Mount | None, parameters: FilterParameters) -> Iterator[Finding]:
+    """The one change that makes the innovations the most probable, and those nearly as good."""
+    if mount is None:
+        return
+    ranked = sorted(mount, key=lambda change: -change.z)
+    best = ranked[0]
+    beyond = [c for c in ranked if c.z > MOUNT_SIGMAS and abs(c.value) > c.unknown.careful]
+    if not beyond or beyond[0] is not best:
+        return
+    # Odds of a hundred between two causes: 2 ln 100 in the squares of their sigmas.
+    as_good = [c for c in beyond if best.z**2 - c.z**2 < 2.0 * math.log(100.0)]
+    texts, remedies = zip(*(_change(c, parameters) for c in as_good), strict=True)
+    yield Finding("mount", "; or ".join(texts), "; or ".join(remedies))
+
+
+def _change(change: Change, parameters: FilterParameters) -> tuple[str, str]:
+    """What is wrong, and what to set."""
+    name, value, sigma = change.unknown.name, change.value, change.sigma
+    dvl = told_otherwise(parameters, [], change.unknown, value, {})[0].dvl
+    if name.startswith("mount"):
+        angle, axis = math.degrees(value), name[-1]
+        mount = _list(dvl.mount, 4)
+        return (
+            f"the DVL is turned by {angle:+.1f} deg about {axis} (sigma {math.degrees(sigma):.1f})",
+            f"set dvl.mount to {mount} rad",
+        )
+    if name.startswith("lever_arm"):
+        return (
+            f"the lever arm of the DVL is off by {value:+.2f} m in {name[-1]} (sigma {sigma:.2f})",
+            f"set dvl.lever_arm to {_list(dvl.lever_arm, 2)} m",
+        )
+    if name == "time_offset":
+        late = "late" if value < 0.0 else "early"
+        return (
+            f"the stamps of the DVL are {abs(value):.2f} s {late} (sigma {sigma:.2f})",
+            f"set dvl.time_offset to {parameters.dvl.time_offset + value:.3f} s",
+        )
+    return (
+        f"the DVL's velocities are {-100.0 * value:+.1f} % wrong (sigma {100.0 * sigma:.1f})",
+        f"multiply them by {1.0 + value:.3f} in the driver (speed of sound)",
+    )
+
+
+def _of_dvl_noise(noise: DvlNoise | None, parameters: FilterParameters) -> Iterator[Finding]:
+    if noise is None or noise.z < SIGMAS or 1.0 / FACTOR < noise.shown / noise.told < FACTOR:
+        return
+    ratio = noise.told / noise.shown
+    by = f"{ratio:.1f} times too large" if ratio > 1.0 else f"{1.0 / ratio:.1f} times too small"
+    value = _list([noise.shown] * 3, 4)
+    remedy = f"set dvl.noise_std to {value} m/s"
+    if noise.by_messages:
+        remedy += ", and dvl.covariance to 'parameters': the messages tell another one"
+    yield Finding(
+        "dvl_noise",
+        f"the noise of the DVL is told {by}: sigma {noise.told:.2g} m/s, and the recording shows "
+        f"{noise.shown:.2g}",
+        remedy,
+        cautious=ratio > 1.0,
+    )
+
+
+def _of_prediction(
+    innovations: dict[str, Any] | None,
+    noise: DvlNoise | None,
+    withheld: list[Withheld],
+    parameters: FilterParameters,
+    imu: tuple[float, float],
+) -> Iterator[Finding]:
+    """NIS that is not that of the DVL's noise is that of the prediction."""
+    if innovations is None or any(_of_dvl_noise(noise, parameters)):
+        return
+    source = parameters.process_noise.source
+    low, high = innovations["nis_median_bounds"]
+    median, middle = innovations["nis_median"], innovations["nis_median_expected"]
+    expected = innovations["nis_expected"]
+    beyond = [
+        w
+        for w in withheld
+        if not w.nis_bounds[0] <= w.nis_mean <= w.nis_bounds[1]
+        and not expected / FACTOR**2 < w.nis_mean < expected * FACTOR**2
+    ]
+    if not low <= median <= high and not middle / FACTOR < median < middle * FACTOR:
+        large = median > middle
+        text = (
+            f"the median of NIS is {median:.2f} and should be {middle:.2f}: the prediction is "
+            f"{'worse' if large else 'better'} than the filter says"
+        )
+    elif beyond:
+        w = max(beyond, key=lambda w: w.seconds)
+        large = w.nis_mean > expected
+        text = (
+            f"{w.seconds:g} s without the DVL the velocity is {w.error:.2g} m/s off, and the "
+            f"filter says {w.sigma:.2g}"
+        )
+    else:
+        return
+    if source == "constant":
+        told = (
+            parameters.process_noise.accelerometer_variance,
+            parameters.process_noise.gyroscope_variance,
+        )
+        remedy = (
+            f"{'raise' if large else 'lower'} process_noise.accelerometer_variance (told "
+            f"{np.mean(told[0]):.2g}, differences of the samples show {imu[0]:.2g}) and "
+            f"gyroscope_variance (told {np.mean(told[1]):.2g}, shown {imu[1]:.2g}), or set "
+            "process_noise.source to 'external'"
+        )
+    else:
+        remedy = f"compare with process_noise.source 'constant'; it is {source!r}"
+    yield Finding("prediction", text, remedy, cautious=not large)
+
+
+def _of_biases(document: dict[str, Any]) -> Iterator[Finding]:
+    for text in document["findings"]:
+        if " bias " in text and not text.startswith("heading"):
+            what, _, remedy = text.partition(": ")
+            yield Finding("bias", what, remedy)
+
+
+def _of_whiteness(
+    innovations: dict[str, Any] | None, parameters: FilterParameters
+) -> Iterator[Finding]:
+    if innovations is None:
+        return
+    rho, bound = innovations["autocorrelation"], innovations["autocorrelation_bound"]
+    if abs(rho) > max(bound, CORRELATED):
+        yield Finding(
+            "correlated",
+            f"neighbouring innovations are correlated by {rho:+.2f} and should be white",
+            "errors of the DVL last for seconds: set dvl.bias_model to 'gauss_markov' with "
+            "dvl.bias_std"
+            if rho > 0.0
+            else "the filter follows the DVL's noise: lower process_noise.*_variance",
+            cautious=rho < 0.0,
+        )
+    for axis, t, share in zip(
+        "xyz", innovations["mean_in_standard_errors"], innovations["mean_in_sigmas"], strict=False
+    ):
+        if abs(t) > SIGMAS and abs(share) > OFFSET:
+            yield Finding(
+                "mean",
+                f"the innovation in {axis} of the DVL has the mean "
+                f"{innovations['mean']['xyz'.index(axis)]:+.3g} m/s, {abs(t):.1f} standard errors",
+                "check dvl.mount and dvl.lever_arm, or set dvl.bias_model to 'gauss_markov'",
+            )
+
+
+def _of_reference(document: dict[str, Any]) -> Iterator[Finding]:
+    inside = document["body_velocity_inside_3_sigma"]
+    if inside is not None and inside < 0.9:
+        yield Finding(
+            "reference",
+            f"only {100.0 * inside:.0f} % of the velocity errors against the reference are within "
+            "3 sigma",
+            "check the reference's axes and stamps, then the noise of IMU and DVL",
+        )
+
+
+# ---------------------------------------------------------------- numbers
+
+
+def _refused_share(document: dict[str, Any]) -> float | None:
+    count = document["dvl_rejected"] + document["dvl_accepted"]
+    return document["dvl_rejected"] / count if count else None
+
+
+def _biases(filter_: Filter, replayed: Replayed) -> dict[str, Any] | None:
+    """The biases at the end over their initial sigmas, in IMU axes of the stream."""
+    if not replayed.initialised.size:
+        return None
+    nav, vehicle = replayed.fold.states[-1]["nav"], filter_.vehicle
+    to_imu, initial = vehicle.axes.body @ vehicle.C_b_i.T, filter_.parameters.initial
+    found = {}
+    for name, estimate in (("accelerometer", nav["b_f"]), ("gyroscope", nav["b_w"])):
+        values = to_imu @ estimate
+        std = getattr(initial, f"{name}_bias_std")
+        off: Array = values - np.array(getattr(initial, f"{name}_bias"))
+        found[name] = {
+            "value": values.tolist(),
+            "in_initial_sigmas": (off / std).tolist() if std else None,
+        }
+    return found
+
+
+def _position(replayed: Replayed) -> dict[str, Any] | None:
+    """Where it ended, how far it went, and what is known of that."""
+    known = replayed.initialised
+    if not known.size:
+        return None
+    fold = replayed.fold
+    end = odometry(fold.filter, fold.states, int(known[-1]))
+    states = fold.states[known[:: max(1, len(known) // 5000)]]
+    path = np.array([odometry(fold.filter, states, k).position for k in range(len(states))])
+    P = end.pose_covariance
+    down = fold.filter.vehicle.axes.nav[2, 2]
+    heading = fold.states[known[-1]]["nav"]["P"][ATTITUDE.stop - 1, ATTITUDE.stop - 1]
+    return {
+        "distance": path_length(path),
+        "horizontal": end.position[:2].tolist(),
+        "horizontal_sigma": math.sqrt(float(np.linalg.eigvalsh(P[:2, :2])[-1])),
+        "depth_below_origin": float(down * end.position[2]),
+        "depth_sigma": math.sqrt(float(P[2, 2])),
+        "heading_sigma_deg": math.degrees(math.sqrt(float(heading))),
+    }
+
+
+def _of_changes(mount: Mount | None) -> dict[str, Any] | None:
+    if mount is None:
+        return None
+    return {c.unknown.name: {"change": c.value, "sigma": c.sigma} for c in mount}
+
+
+def _list(values: Any, digits: int) -> str:
+    return "[" + ", ".join(f"{float(value) + 0.0:.{digits}f}" for value in values) + "]"

@@ -1,0 +1,129 @@
+"""What a fold took of a recording, so that it can be folded again with something changed."""
+
+from array import array
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from insdvl.arrays import Array, Stamps
+from insdvl.navigation.events import NS, Event, Imu, ProcessNoise
+from insdvl.navigation.parameters import FilterParameters
+from insdvl.timeline.output import FoldResult
+from insdvl.timeline.recorded import fold_arrays
+
+
+class Taken:
+    """The events of one part of a recording, between two time jumps.
+
+    The samples of the IMU are kept as numbers, 56 bytes each.
+
+    Attributes:
+        events: All events but the samples of the IMU.
+    """
+
+    def __init__(self) -> None:
+        self._stamps = array("q")
+        self._readings = array("d")
+        self.events: list[Event] = []
+
+    def add(self, event: Event) -> None:
+        """Keep an event that the fold took."""
+        if isinstance(event, Imu):
+            self._stamps.append(event.stamp_ns)
+            self._readings.extend(event.f_b)
+            self._readings.extend(event.w_ib_b)
+        else:
+            self.events.append(event)
+
+    @property
+    def samples(self) -> tuple[Stamps, Array]:
+        """Stamps (N,) and readings (N, 6) of the IMU, f then w, in the order of the stamps."""
+        stamps_ns = np.array(self._stamps, dtype=np.int64)
+        readings = np.array(self._readings).reshape(-1, 6)
+        order = np.argsort(stamps_ns, kind="stable")
+        return stamps_ns[order], readings[order]
+
+    def first(self, seconds: float) -> "Taken":
+        """The events of the first seconds."""
+        stamps_ns, readings = self.samples
+        if not stamps_ns.size:
+            return self
+        until_ns = int(stamps_ns[0]) + round(seconds * NS)
+        count = int(np.searchsorted(stamps_ns, until_ns, side="right"))
+        part = Taken()
+        part._stamps.extend(stamps_ns[:count].tolist())
+        part._readings.extend(readings[:count].ravel().tolist())
+        part.events = [event for event in self.events if event.stamp_ns <= until_ns]
+        return part
+
+    def averaged(
+        self, parameters: FilterParameters, interval: float
+    ) -> tuple["Taken", FilterParameters]:
+        """The same with the samples averaged over intervals, and the parameters of such an IMU.
+
+        A sample is a mean over its interval already, so little is lost where the vehicle does not
+        turn by much in one. The noise keeps its density.
+
+        Args:
+            parameters: Of the filter.
+            interval: Time over which samples are averaged [s].
+        """
+        stamps_ns, readings = self.samples
+        block = (stamps_ns - stamps_ns[:1]) // round(interval * NS)
+        firsts = np.flatnonzero(np.diff(block, prepend=-1))
+        counts = np.diff(firsts, append=len(block))
+        part = Taken()
+        part._stamps.extend(stamps_ns[firsts + counts - 1].tolist())
+        means = np.add.reduceat(readings, firsts) / counts[:, None]
+        part._readings.extend(means.ravel().tolist())
+        number = float(np.median(counts))
+        divisor = number if parameters.process_noise.convention == "per_sample" else 1.0
+        part.events = [
+            _of_averages(event, divisor) if isinstance(event, ProcessNoise) else event
+            for event in self.events
+        ]
+        noise = replace(
+            parameters.process_noise,
+            **{
+                f"{sensor}_{name}": _divided(
+                    getattr(parameters.process_noise, f"{sensor}_{name}"), divisor
+                )
+                for sensor in ("accelerometer", "gyroscope")
+                for name in ("variance", "floor", "ceiling")
+            },
+        )
+        imu = replace(
+            parameters.imu,
+            rate=parameters.imu.rate / number,
+            max_gap=max(parameters.imu.max_gap, 3.0 * interval),
+        )
+        return part, replace(parameters, imu=imu, process_noise=noise)
+
+    def folded(
+        self, parameters: FilterParameters, events: Iterable[Event] | None = None
+    ) -> FoldResult:
+        """Fold the samples again, with other parameters, or with other events.
+
+        What became of the measurements is the result; of the states hardly any is kept.
+
+        Args:
+            parameters: Of the filter.
+            events: In place of those that were taken.
+        """
+        stamps_ns, readings = self.samples
+        chosen = list(self.events if events is None else events)
+        samples = stamps_ns, readings[:, :3], readings[:, 3:]
+        return fold_arrays(parameters, *samples, chosen, every=max(len(stamps_ns), 1))
+
+
+def _divided(value: tuple[float, ...] | float, divisor: float) -> tuple[float, ...] | float:
+    if isinstance(value, tuple):
+        return tuple(element / divisor for element in value)
+    return value / divisor
+
+
+def _of_averages(event: ProcessNoise, divisor: float) -> ProcessNoise:
+    """Process noise per sample as that of averages."""
+    Q_f, Q_w = (None if Q is None else Q / divisor for Q in (event.Q_f, event.Q_w))
+    return replace(event, Q_f=Q_f, Q_w=Q_w)

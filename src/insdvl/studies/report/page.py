@@ -1,0 +1,90 @@
+"""The report: one page with everything in it, for a browser without a network."""
+
+import json
+from collections.abc import Sequence
+from html import escape
+from importlib.resources import files
+
+from insdvl.extras import MissingPackageError, extra
+from insdvl.studies.report.figures import Figure
+from insdvl.studies.report.results import Result
+from insdvl.studies.report.sections import SECTIONS
+
+#: Oldest plotly.js that reads arrays in base64.
+OLDEST = (2, 35)
+
+
+def page_of(results: Sequence[Result]) -> str:
+    """The page of one result, or of two side by side.
+
+    Raises:
+        MissingPackageError: plotly is not installed, or too old.
+    """
+    script = _plotly()
+    drawn: list[Figure] = []
+    body: list[str] = []
+    links: list[str] = []
+    for section in SECTIONS:
+        parts = [section.part(result) for result in results]
+        if all(part is None for part in parts):
+            continue
+        links.append(f'<a href="#{section.name}">{escape(section.question)}</a>')
+        columns = []
+        for result, part in zip(results, parts, strict=True):
+            heading = f"<h3>{escape(result.title)}</h3>" if len(results) > 1 else ""
+            if part is None:
+                columns.append(f"<div>{heading}<p>Nothing to show.</p></div>")
+                continue
+            places = []
+            for figure in part.figures:
+                if figure["time"]:
+                    figure["layout"]["xaxis"]["range"] = [0.0, result.duration]
+                height = figure["layout"]["height"]
+                places.append(
+                    f'<div class="figure" data-figure="{len(drawn)}" style="height:{height}px">'
+                    "</div>"
+                )
+                drawn.append(figure)
+            columns.append("\n".join([f"<div>{heading}{part.html}", *places, "</div>"]))
+        body.append(
+            f'<section id="{section.name}"><h2>{escape(section.question)}</h2>'
+            f'<div class="columns">{"".join(columns)}</div></section>'
+        )
+    title = " and ".join(result.title for result in results)
+    # "</" would end the script element.
+    data = json.dumps(drawn, allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
+    return "\n".join(
+        [
+            "<!DOCTYPE html>",
+            '<html lang="en"><head><meta charset="utf-8">',
+            '<meta name="viewport" content="width=device-width, initial-scale=1">',
+            f"<title>{escape(title)}: replay</title>",
+            f"<style>{_asset('report.css')}</style>",
+            f"<script>{script}</script>",
+            "</head><body>",
+            f"<header><h1>{escape(title)}</h1><nav>{' '.join(links)}</nav></header>",
+            "<main>",
+            *body,
+            "</main>",
+            f'<script type="application/json" id="figures">{data}</script>',
+            f"<script>{_asset('report.js')}</script>",
+            "</body></html>",
+            "",
+        ]
+    )
+
+
+def _plotly() -> str:
+    """The script plotly.js."""
+    with extra("report"):
+        from plotly.offline import get_plotlyjs, get_plotlyjs_version
+    version = get_plotlyjs_version()
+    if tuple(int(part) for part in version.split(".")[:2]) < OLDEST:
+        raise MissingPackageError(
+            f"plotly is too old, its plotly.js is {version}: install insdvl[report]", name="plotly"
+        )
+    return str(get_plotlyjs())
+
+
+def _asset(name: str) -> str:
+    return (files("insdvl.studies.report") / "assets" / name).read_text(encoding="utf-8")

@@ -1,0 +1,313 @@
+"""The rules of the verdict: their probabilities, and what each says of made-up numbers."""
+
+import math
+import re
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from recordings import record
+from scipy import stats
+
+from insdvl.arrays import Array
+from insdvl.navigation.events import NS, Imu, ProcessNoise
+from insdvl.navigation.filter import Filter
+from insdvl.navigation.measurements.dvl import Dvl
+from insdvl.navigation.measurements.report import UpdateReport
+from insdvl.navigation.parameters import FilterParameters
+from insdvl.parameters.declaration import build
+from insdvl.simulation.mission import Mission, simulate
+from insdvl.simulation.motion import Channel, Trajectory, Wave
+from insdvl.simulation.noise import SCENARIOS
+from insdvl.simulation.sensors.dvl import DvlModel
+from insdvl.simulation.trajectories import BASELINE
+from insdvl.studies.judgement import innovations, verdict, withheld
+from insdvl.studies.judgement.mounting import UNKNOWNS, Change
+from insdvl.studies.judgement.noise import DvlNoise, imu_variances
+from insdvl.studies.judgement.verdict import Verdict
+from insdvl.studies.replay.fold import Replayed, fold_recording
+from insdvl.studies.replay.scores import report
+from insdvl.studies.replay.taken import Taken
+
+#: A lawn mower whose speed changes by 0.3 m/s within 11 s.
+TRAJECTORY = replace(BASELINE["lawn_mower"], speed=Channel(1.6, waves=(Wave(0.3, 11.0),)))
+DVL = DvlModel(noise_std=(0.02, 0.02, 0.02))
+RIGHT = {
+    "initial.mode": "topic",
+    "initial.accelerometer_bias_std": 1e-3,
+    "initial.gyroscope_bias_std": 1e-5,
+    "dvl.noise_std": (0.02, 0.02, 0.02),
+    "process_noise.accelerometer_variance": (1e-4, 1e-4, 1e-4),
+    "process_noise.gyroscope_variance": (1e-6, 1e-6, 1e-6),
+}
+SAME = np.eye(3)
+TURNED = {axis: [math.radians(2.0) * (name == axis) for name in "xyz"] for axis in "xyz"}
+TOPICS = {
+    "/imu": "imu/data_raw",
+    "/dvl": "dvl/velocity",
+    "/truth": "ground_truth/odometry",
+    "/true_q": "ground_truth/process_noise",
+}
+
+
+def flown(seed: int, *, dvl: DvlModel = DVL, duration: float | None = None) -> Mission:
+    noise = SCENARIOS["constant-tableI"]
+    trajectory: Trajectory = TRAJECTORY
+    return simulate(trajectory, noise, seed=seed, dvl=dvl, duration=duration, start_ns=NS)
+
+
+def judged(mission: Mission, **changes: Any) -> tuple[Verdict, Replayed]:
+    names = {name.replace("__", "."): value for name, value in changes.items()}
+    parameters = build(FilterParameters, RIGHT | names)
+    recording = [raw._replace(topic=TOPICS[raw.topic]) for raw in record(mission, every=100)]
+    replayed = fold_recording(recording, parameters)
+    return verdict.verdict(replayed, parameters, report(recording, replayed)), replayed
+
+
+def reports(nu: Array, S: Array) -> list[UpdateReport]:
+    nis = np.einsum("ki,ij,kj->k", nu, np.linalg.inv(S), nu)
+    return [UpdateReport("dvl", n, S, float(x), True, "") for n, x in zip(nu, nis, strict=True)]
+
+
+# ---------------------------------------------------------------- probabilities
+
+
+@pytest.mark.parametrize(("rows", "count"), [(3, 40), (3, 2000), (1, 300)])
+def test_the_bounds_of_nis_are_exceeded_once_in_a_thousand(rows: int, count: int) -> None:
+    low, high = innovations.mean_nis_bounds(rows, count)
+    chance = stats.chi2.cdf(low * count, rows * count) + stats.chi2.sf(high * count, rows * count)
+    assert chance == pytest.approx(innovations.CHANCE, rel=1e-6)
+
+
+@pytest.mark.parametrize(("rows", "count"), [(3, 400), (1, 1600)])
+def test_the_bounds_of_the_median_are_those_of_a_sample_quantile(rows: int, count: int) -> None:
+    """Against the binomial: as many values below the bound as above, or more."""
+    for bound in innovations.median_nis_bounds(rows, count):
+        below = stats.chi2.cdf(bound, rows)
+        tail = min(
+            stats.binom.cdf(count // 2, count, below), stats.binom.sf(count // 2, count, below)
+        )
+        assert tail == pytest.approx(innovations.CHANCE / 2.0, rel=0.25)
+
+
+def test_innovations_as_they_should_be_are_within_all_bounds_and_others_are_not() -> None:
+    rng = np.random.default_rng(3)
+    S = np.diag([0.04, 0.01, 0.09])
+    nu = rng.normal(size=(2000, 3)) * np.sqrt(np.diag(S))
+    found = innovations.statistics(reports(nu, S))
+    assert found is not None
+    assert found["nis_bounds"][0] < found["nis_mean"] < found["nis_bounds"][1]
+    assert found["nis_median_bounds"][0] < found["nis_median"] < found["nis_median_bounds"][1]
+    assert abs(found["autocorrelation"]) < found["autocorrelation_bound"]
+    assert max(np.abs(found["mean_in_standard_errors"])) < innovations.SIGMAS
+    # A tenth of the covariance, a mean, and neighbours that are alike.
+    told = innovations.statistics(reports(nu, S / 10.0))
+    assert told is not None and told["nis_mean"] > 9.0 * told["nis_bounds"][1] / 1.2 / 3.0
+    off = innovations.statistics(reports(nu + np.array([0.1, 0.0, 0.0]), S))
+    assert off is not None and off["mean_in_standard_errors"][0] > 10.0
+    alike = innovations.statistics(reports((nu[1:] + nu[:-1]) / math.sqrt(2.0), S))
+    assert alike is not None and alike["autocorrelation"] == pytest.approx(0.5, abs=0.05)
+
+
+def test_a_few_outliers_move_the_mean_and_not_the_median() -> None:
+    rng = np.random.default_rng(4)
+    nu = rng.normal(size=(1000, 3))
+    nu[::100] = 50.0
+    found = innovations.statistics(reports(nu, np.eye(3)))
+    assert found is not None and found["nis_mean"] > 50.0
+    low, high = found["nis_median_bounds"]
+    assert low < found["nis_median"] < high
+    assert abs(found["autocorrelation"]) < found["autocorrelation_bound"]
+
+
+def test_too_few_innovations_say_nothing() -> None:
+    nu = np.zeros((innovations.FEWEST - 1, 3))
+    assert innovations.statistics(reports(nu, np.eye(3))) is None
+
+
+# ---------------------------------------------------------------- parts
+
+
+def samples(count: int) -> Taken:
+    rng = np.random.default_rng(5)
+    taken = Taken()
+    for k in range(count):
+        taken.add(Imu((k + 1) * NS // 100, rng.normal(size=3), rng.normal(size=3)))
+    return taken
+
+
+def test_averaged_samples_keep_the_integral_and_the_density() -> None:
+    taken = samples(1000)
+    taken.add(ProcessNoise(5 * NS, np.eye(3), None))
+    parameters = build(FilterParameters, RIGHT)
+    part, told = taken.averaged(parameters, 0.05)
+    stamps_ns, readings = part.samples
+    assert len(stamps_ns) == 200
+    _, before = taken.samples
+    np.testing.assert_allclose(readings.mean(axis=0), before.mean(axis=0), rtol=0, atol=1e-12)
+    assert stamps_ns[-1] == 10 * NS
+    assert told.imu.rate == 20.0
+    for name in ("accelerometer_variance", "gyroscope_variance"):
+        was, now = (getattr(p.process_noise, name)[0] / p.imu.rate for p in (parameters, told))
+        assert now == pytest.approx(was)
+    (event,) = part.events
+    assert isinstance(event, ProcessNoise) and event.Q_f is not None and event.Q_w is None
+    np.testing.assert_allclose(event.Q_f, np.eye(3) / 5.0)
+
+
+def test_the_noise_of_the_samples_is_that_of_their_differences() -> None:
+    taken = samples(4000)
+    of_f, of_w = imu_variances(taken)
+    assert of_f == pytest.approx(1.0, rel=0.1) and of_w == pytest.approx(1.0, rel=0.1)
+
+
+def test_windows_are_withheld_and_the_first_good_ping_after_each_is_predicted() -> None:
+    pings = [Dvl(k * NS, np.ones(3)) for k in range(1, 101)]
+    used = {event.stamp_ns for event in pings if event.stamp_ns != 32 * NS}
+    given, predicted = withheld._chosen(list(pings), used, 10.0)
+    assert sorted(t // NS for t in predicted) == [33, 64, 95]
+    left = {event.stamp_ns // NS for event in pings} - {event.stamp_ns // NS for event in given}
+    assert left == {*range(22, 33), *range(54, 64), *range(85, 95)}
+
+
+NOISE = DvlNoise(shown=0.02, shown_std=0.0005, told=0.02, by_messages=False)
+
+
+def test_noise_that_is_told_rightly_is_no_finding_and_other_noise_has_its_value() -> None:
+    parameters = build(FilterParameters, RIGHT)
+    assert not list(verdict._of_dvl_noise(NOISE, parameters))
+    # Within the factor, or not known well enough.
+    assert not list(verdict._of_dvl_noise(replace(NOISE, told=0.025), parameters))
+    assert not list(verdict._of_dvl_noise(replace(NOISE, told=0.2, shown_std=0.1), parameters))
+    (large,) = verdict._of_dvl_noise(replace(NOISE, told=0.2), parameters)
+    assert "10.0 times too large" in large.text and "0.0200" in large.remedy
+    told = replace(NOISE, told=0.002, by_messages=True)
+    (small,) = verdict._of_dvl_noise(told, parameters)
+    assert "10.0 times too small" in small.text
+    assert "dvl.covariance to 'parameters'" in small.remedy
+
+
+def test_the_mount_is_accused_only_beyond_chance_and_beyond_careful_installation() -> None:
+    parameters = build(FilterParameters, RIGHT)
+    by_name = {unknown.name: unknown for unknown in UNKNOWNS}
+
+    def found(**values: tuple[float, float]) -> list[verdict.Finding]:
+        changes = [Change(u, *values.get(name, (0.0, 1.0))) for name, u in by_name.items()]
+        return list(verdict._of_mount(tuple(changes), parameters))
+
+    assert not found()
+    assert not found(mount_z=(0.05, 0.02))  # 2.5 sigmas
+    assert not found(mount_z=(0.01, 0.001))  # less than a degree
+    (one,) = found(mount_z=(0.05, 0.01))
+    assert "+2.9 deg about z" in one.text and "[0.0000, 0.0000, 0.0500] rad" in one.remedy
+    (two,) = found(mount_z=(0.05, 0.01), time_offset=(-0.1, 0.0201))
+    assert "; or the stamps of the DVL are 0.10 s late" in two.text
+
+
+def test_refusals_by_name_are_told_with_their_remedy() -> None:
+    filter_ = Filter(build(FilterParameters, RIGHT))
+    document = {
+        "dvl_rejected": 50,
+        "dvl_accepted": 50,
+        "dvl_rejected_by_reason": {"no_lock": 48, "gate": 2},
+    }
+    (finding,) = verdict._of_claims(document, filter_)
+    assert finding.text.startswith("48 % of the DVL was refused (no_lock 48)")
+    assert "bottom lock" in finding.remedy
+    assert not list(verdict._of_gate(document, None, filter_))
+    document["dvl_rejected_by_reason"] = {"gate": 50}
+    assert not list(verdict._of_claims(document, filter_))
+    (finding,) = verdict._of_gate(document, None, filter_)
+    assert finding.text == "50 % of the DVL was refused (gate 50)"
+    assert "contradict each other" in finding.remedy
+    fits = {"nis_median": 2.4, "nis_median_expected": 2.37}
+    (finding,) = verdict._of_gate(document, fits, filter_)
+    assert "outliers" in finding.remedy
+
+
+# ---------------------------------------------------------------- recordings
+
+
+@pytest.fixture(scope="module")
+def short() -> tuple[Verdict, Replayed]:
+    return judged(flown(11, duration=110.0))
+
+
+def test_a_right_configuration_fits(short: tuple[Verdict, Replayed]) -> None:
+    found, _ = short
+    assert found.findings == [], found.judgement
+    assert found.judgement.startswith("FITS")
+    assert found.numbers["dvl_noise"]["shown"] == pytest.approx(0.02, rel=0.15)
+    assert [w["seconds"] for w in found.numbers["withheld"]] == [10.0, 30.0]
+    assert found.numbers["position"]["depth_sigma"] > 0.0
+
+
+def test_the_estimates_are_as_uncertain_as_they_say(short: tuple[Verdict, Replayed]) -> None:
+    found, _ = short
+    z = [c["change"] / c["sigma"] for c in found.numbers["mounting"].values()]
+    assert len(z) == len(UNKNOWNS)
+    assert 0.05 < float(np.mean(np.square(z))) < 3.3  # chi-square with 8 dof, 1 in 1000 above
+
+
+CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
+    "mount yaw": ({"dvl": replace(DVL, mount=tuple(TURNED["z"]))}, {}, r"-\d\.\d deg about z"),
+    "mount pitch": ({"dvl": replace(DVL, mount=tuple(TURNED["y"]))}, {}, r"deg about y"),
+    "stamps late": ({"late": 0.1}, {}, r"stamps of the DVL are 0\.(09|10|11|12) s late"),
+    "stamps early": ({"late": -0.1}, {}, r"stamps of the DVL are 0\.(09|10|11|12) s early"),
+    "knots": ({"v": np.eye(3) / 0.514444}, {}, r"the DVL is in knots"),
+    "deg/s": ({"w": np.eye(3) * math.degrees(1.0)}, {}, r"gyroscope is in deg/s"),
+    "IMU axes": ({"f": np.eye(3)[[1, 0, 2]], "w": np.eye(3)[[1, 0, 2]]}, {}, "axes are exchanged"),
+    "DVL axes": ({"v": np.eye(3)[[1, 0, 2]]}, {}, r"DVL is turned about z by \+89"),
+    "R too large": ({}, {"dvl__noise_std": (0.0632,) * 3}, r"told 3\.\d times too large"),
+    "R too small": ({}, {"dvl__noise_std": (0.00632,) * 3}, r"told 3\.\d times too small"),
+    "Q too large": (
+        {},
+        {"process_noise__accelerometer_variance": (1e-2,) * 3},
+        "lower process_noise.accelerometer_variance",
+    ),
+    "Q too small": (
+        {},
+        {
+            "process_noise__accelerometer_variance": (1e-6,) * 3,
+            "process_noise__gyroscope_variance": (1e-8,) * 3,
+        },
+        "raise process_noise.accelerometer_variance",
+    ),
+}
+
+
+def changed(
+    seed: int,
+    dvl: DvlModel = DVL,
+    late: float = 0.0,
+    f: Array = SAME,
+    w: Array = SAME,
+    v: Array = SAME,
+) -> Mission:
+    mission = flown(seed, dvl=dvl)
+    return replace(
+        mission,
+        f_b=mission.f_b @ f.T,
+        w_ib_b=mission.w_ib_b @ w.T,
+        v_d=mission.v_d @ v.T,
+        dvl_stamps_ns=mission.dvl_stamps_ns + round(late * NS),
+    )
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("seed", [21, 22])
+def test_the_line_names_what_is_wrong_and_what_to_set(case: str, seed: int) -> None:
+    mission, parameters, expected = CASES[case]
+    found, _ = judged(changed(seed, **mission), **parameters)
+    kind = "TOO CAUTIOUS" if case.endswith("too large") else "NOT RIGHT"
+    assert found.judgement.startswith(kind), found.judgement
+    assert re.search(expected, found.judgement), found.judgement
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(21, 27))
+def test_right_configurations_have_no_finding(seed: int) -> None:
+    found, _ = judged(flown(seed))
+    assert found.findings == [], found.judgement
