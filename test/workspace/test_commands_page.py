@@ -41,4 +41,4 @@ def test_every_call_on_the_page_works(tmp_path: Path, monkeypatch: pytest.Monkey
         else:
             assert main(words) == 0, words
     made = {path.name for path in tmp_path.iterdir()}
-    assert made >= {"my.yaml", "check.json", "numbers.json", "result-bag"}
+    assert made >= {"my.yaml", "check.json", "numbers.json", "run1"}

@@ -138,7 +138,7 @@ def _judgement(
     document: dict[str, Any],
 ) -> str:
     if findings:
-        more = f" ({len(findings) - 1} more below)" if len(findings) > 1 else ""
+        more = f" ({len(findings) - 1} more above)" if len(findings) > 1 else ""
         kind = "TOO CAUTIOUS" if all(finding.cautious for finding in findings) else "NOT RIGHT"
         return f"{kind}: {findings[0].sentence}{more}"
     if innovations is None:
@@ -183,7 +183,7 @@ def _of_start(document: dict[str, Any]) -> Iterator[Finding]:
 
 def _of_claims(document: dict[str, Any], filter_: Filter) -> Iterator[Finding]:
     """What is refused by name: no lock, repeated, too fast, late, of another frame."""
-    reasons = Counter(document["dvl_rejected_by_reason"])
+    reasons = refusals(document)
     reasons.pop("gate", None)
     if not reasons or reasons.total() < REFUSED * _count(document):
         return
@@ -199,7 +199,7 @@ def _of_gate(
     document: dict[str, Any], innovations: dict[str, Any] | None, filter_: Filter
 ) -> Iterator[Finding]:
     """The gate refuses one good measurement in a thousand (gate.probability)."""
-    count, refused = _count(document), Counter(document["dvl_rejected_by_reason"])["gate"]
+    count, refused = _count(document), refusals(document)["gate"]
     expected = (1.0 - filter_.parameters.gate.probability) * count
     if refused <= max(expected + SIGMAS * math.sqrt(expected) + 1.0, REFUSED * count):
         return
@@ -213,8 +213,15 @@ def _of_gate(
     yield Finding("gate", _share(Counter(gate=refused), document), remedy)
 
 
+def refusals(document: dict[str, Any]) -> Counter[str]:
+    """Refused measurements of the DVL by reason; before the start there is nothing to refuse."""
+    reasons = Counter(document["dvl_rejected_by_reason"])
+    reasons.pop("not_initialised", None)
+    return reasons
+
+
 def _count(document: dict[str, Any]) -> int:
-    return int(document["dvl_rejected"] + document["dvl_accepted"])
+    return int(refusals(document).total() + document["dvl_accepted"])
 
 
 def _share(reasons: Counter[str], document: dict[str, Any]) -> str:
@@ -385,8 +392,8 @@ def _of_reference(document: dict[str, Any]) -> Iterator[Finding]:
 
 
 def _refused_share(document: dict[str, Any]) -> float | None:
-    count = document["dvl_rejected"] + document["dvl_accepted"]
-    return document["dvl_rejected"] / count if count else None
+    count = _count(document)
+    return refusals(document).total() / count if count else None
 
 
 def _biases(filter_: Filter, replayed: Replayed) -> dict[str, Any] | None:

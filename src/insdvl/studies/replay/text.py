@@ -3,6 +3,8 @@
 from collections.abc import Iterator
 from typing import Any
 
+from insdvl.studies.judgement.verdict import refusals
+
 _ROWS = (
     ("velocity RMSE, navigation axes", "velocity_rmse", "m/s"),
     ("velocity RMSE, body axes", "body_velocity_rmse", "m/s"),
@@ -67,8 +69,7 @@ def _numbers(document: dict[str, Any], numbers: dict[str, Any]) -> Iterator[str]
             f"should be {innovations['nis_median_expected']:.2f}"
         )
     if (share := numbers["refused_share"]) is not None:
-        reasons = document["dvl_rejected_by_reason"]
-        by = ", ".join(f"{name} {count}" for name, count in reasons.items())
+        by = ", ".join(f"{name} {count}" for name, count in refusals(document).items())
         yield f"refused            {100.0 * share:.1f} % of the DVL" + (f" ({by})" if by else "")
     if innovations:
         yield (
