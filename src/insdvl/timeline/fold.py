@@ -77,6 +77,8 @@ class Fold:
     def reset(self) -> bool:
         """Forget all but the settings and odom's place on the Earth; initialisation starts again.
 
+        It counts as one of ``odom_resets``, which go on; all other counts begin at zero.
+
         With ``initial.mode: auto`` heading and position stay known; returns whether they do.
         """
         valid, pose = self._samples.kept.states[: self._samples.stale], None
@@ -85,7 +87,8 @@ class Fold:
         origins = [e.event for e in self._entries.ordered if isinstance(e.event, Origin)]
         if (known := self._origin()) is not None:
             origins.insert(0, known)
-        self._clear(odom_resets=self.counts["odom_resets"] + 1)
+        before = int(valid[-1]["counters"]["odom_resets"]) if len(valid) else 0
+        self._clear(odom_resets=self._counts["odom_resets"] + before + 1)
         for origin in origins[:1]:
             self.filter.locate(self._start, origin)
         return pose is not None and self.filter.start.keep(self._start[0], pose)

@@ -25,6 +25,7 @@ from insdvl.navigation.filter import LAYOUT, Filter
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.odometry import Odometry, odometry
 from insdvl.navigation.parameters import FilterParameters
+from insdvl.navigation.prediction.kept import Kept
 from insdvl.navigation.state import CORE
 from insdvl.simulation.grades import GRADES
 from insdvl.simulation.mission import Mission
@@ -292,11 +293,12 @@ def test_gyrocompassing_turns_odom_and_counts_resets() -> None:
     mission, initial = flight(case, SEED)
     wrong = Rotation.from_euler("z", -0.8).as_matrix() @ mission.initial.C_n_b[0]
     start = replace(initial, C_o_b=wrong)
-    fold = folded(parameters(case), [start, *events_of(mission, 150)])
-    state = fold.states[-1]
+    pings = [Dvl(int(t), v) for t, v in zip(mission.dvl_stamps_ns, mission.v_d, strict=True)]
+    arrays = mission.stamps_ns, mission.f_b, mission.w_ib_b
+    state = fold_arrays(parameters(case), *arrays, [start, *pings]).states[-1]
     heading = math.sqrt(state["nav"]["P"][5, 5])
     assert heading < math.radians(10.0)
-    error = yaw_of(state["nav"]["C_n_b"]) - yaw_of(mission.truth.C_n_b[len(fold.states) - 1])
+    error = yaw_of(state["nav"]["C_n_b"]) - yaw_of(mission.truth.C_n_b[-1])
     assert abs(math.remainder(error, 2.0 * math.pi)) < 4.0 * heading
     by_updates = state["odom"]["turned"]
     assert by_updates == pytest.approx(0.8, abs=4.0 * heading) and not state["odom"]["yaw"]
@@ -331,7 +333,7 @@ class Flown:
         for event in compass_events(mission, rng, HEADINGS, HEADING_STD):
             self.events.setdefault(event.stamp_ns, []).append(event)
         self.readings = np.hstack([mission.f_b, mission.w_ib_b])
-        self.states = np.zeros(len(mission.stamps_ns), LAYOUT.dtype)
+        self.kept = Kept(len(mission.stamps_ns), LAYOUT.dtype)
         self.k = BEGIN * PER_SECOND - 1
         end_ns = mission.stamps_ns[self.k]
         measured = [e for events in self.events.values() for e in events if e.stamp_ns <= end_ns]
@@ -388,7 +390,7 @@ class Flown:
         for _ in range(WINDOW * PER_SECOND):
             self.k += 1
             arrays = m.stamps_ns, m.f_b, m.w_ib_b, self.readings
-            self.filter.predict_samples(self.state, *arrays, self.k, self.k + 1, self.states)
+            self.filter.predict_samples(self.state, *arrays, self.k, self.k + 1, self.kept)
             for event in self.events.get(int(m.stamps_ns[self.k]), []):
                 before = self.cross() if isinstance(event, Compass) else None
                 self.filter.update(self.state, event, m.w_ib_b[self.k], 1.0)

@@ -253,8 +253,12 @@ def test_counters_go_on_through_a_jump_and_end_at_a_reset() -> None:
     feed(fold, gap)
     feed(fold, [replace(e, stamp_ns=e.stamp_ns + 100 * NS) for e in gap])
     assert (fold.counts["gaps"], fold.counts["time_jumps"]) == (2, 1)
+    resets = fold.counts["odom_resets"]
+    assert resets == 1
     fold.reset()
-    assert not any(fold.counts.values())
+    counts = fold.counts
+    assert counts.pop("odom_resets") == resets + 1  # whoever looks at it must see the reset
+    assert not any(counts.values())
 
 
 def test_a_ping_that_waited_for_the_old_time_may_be_of_the_new_one() -> None:
