@@ -11,6 +11,7 @@ import numpy as np
 
 from insdvl.arrays import Array
 from insdvl.kernels import kernel
+from insdvl.navigation.geometry.earth import earth_rate_n
 from insdvl.navigation.geometry.rotation import (
     product,
     product_transposed,
@@ -83,6 +84,28 @@ def earth_rate_seen(s: State, w: Workspace) -> None:
     north, east = of_cosine * w.w_ie_n[0] ** 2, of_sine * w.w_ie_n[0] ** 2
     w.heading_rest[0] = twice * north * north / (north + bias) if north > 0.0 else 0.0
     w.heading_rest[1] = twice * east * east / (east + bias) if east > 0.0 else 0.0
+
+
+def take_earth_rate_from_bias(s: State, before: float, bias: float) -> None:
+    """A heading has been told: what the gyroscope bias has covered for it is now in P.
+
+    While the heading is uncertain, what is estimated is the sum of the bias and of the unknown rate
+    r of `earth_rate_seen`, and P is that of the sum. r becomes known with the heading, and the bias
+    is what is left: as uncertain as both, where it could cover r at all.
+
+    Args:
+        s: State, corrected by the heading.
+        before: Variance of the heading before that [rad^2].
+        bias: Variance of each axis of the gyroscope bias at the start [(rad/s)^2].
+    """
+    P, C, w_ie_n = s["nav"]["P"], s["nav"]["C_n_b"], np.empty(3)
+    earth_rate_n(s["nav"]["llh"][0], w_ie_n)
+    _, *old = heading_moments(before)
+    _, *new = heading_moments(P[_A + 2, _A + 2])
+    sine, cosine = (max(a - b, 0.0) * w_ie_n[0] ** 2 for a, b in zip(old, new, strict=True))
+    rates = np.array([cosine, sine, 0.0])  # squares, north, east, down
+    covered = rates * bias / (rates + bias) if bias > 0.0 else 0.0 * rates
+    P[_W : _W + 3, _W : _W + 3] += C.T @ (covered[:, None] * C)
 
 
 @kernel

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from insdvl.arrays import Array, Records, Stamps
-from insdvl.navigation import channels, coordinates, kalman, map_to_odom
-from insdvl.navigation.error_state import HORIZONTAL_POSITION
+from insdvl.navigation import channels, coordinates, error_state, kalman, map_to_odom
+from insdvl.navigation.error_state import ATTITUDE, HORIZONTAL_POSITION
 from insdvl.navigation.events import (
     NS,
     Imu,
@@ -47,6 +47,7 @@ LAYOUT = layout(
     tuple(SENSORS), sum(size for group in SENSORS.values() for size in group.ROOM.values())
 )
 _NO_SAMPLES = np.empty((0, 6))
+_HEADING = ATTITUDE.stop - 1
 
 
 class Filter:
@@ -287,6 +288,7 @@ class Filter:
         s, model, stamp_ns = state[0], self.models[event.name], event.stamp_ns
         if model.tells_velocity:
             now = self.process_noise.before_correction(s, now)
+        heading = float(s["nav"]["P"][_HEADING, _HEADING])
         K, left = kalman.correct(
             state,
             self.constants,
@@ -296,6 +298,9 @@ class Filter:
         )
         if self.vehicle.invariant and now.H[:, HORIZONTAL_POSITION].any():
             coordinates.move_reference(s)
+        if self.vehicle.invariant and self.parameters.earth_rate and model.angles:
+            bias = self.parameters.initial.gyroscope_bias_std**2
+            error_state.take_earth_rate_from_bias(s, heading, bias)
         shown.corrected(s, K, now.H)
         self._gates[event.name].accept(s, stamp_ns, left)
         if model.tells_velocity:

@@ -6,6 +6,7 @@ import numpy as np
 
 from insdvl.navigation.events import NS, Event, Imu, ProcessNoise
 from insdvl.navigation.measurements.dvl import Dvl
+from insdvl.navigation.measurements.heading import Heading
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.start import gyrocompass
 from insdvl.timeline.fold import Fold
@@ -41,6 +42,7 @@ def compile_fold(parameters: FilterParameters) -> None:
         ProcessNoise(2 * step - step // 2, np.eye(3), np.eye(3)),
         Dvl(3 * step - step // 2, np.full(3, 0.01)),
         Dvl(4 * step - step // 2, np.full(3, 0.02)),
+        Heading(4 * step - step // 4, np.eye(3)),
     ]
     for event in events:
         fold.add(event)

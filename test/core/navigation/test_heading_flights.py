@@ -10,9 +10,11 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from insdvl.navigation import coordinates
-from insdvl.navigation.error_state import ATTITUDE
-from insdvl.navigation.events import NS, Event, Imu
+from insdvl.navigation.error_state import ATTITUDE, GYROSCOPE_BIAS
+from insdvl.navigation.events import NS, Event, Imu, Initial
+from insdvl.navigation.filter import Filter
 from insdvl.navigation.gate.parameters import GateParameters
+from insdvl.navigation.geometry.earth import EARTH_RATE
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.measurements.heading import Heading
 from insdvl.navigation.odometry import position_in_odom
@@ -106,15 +108,51 @@ def test_a_heading_that_is_told_late_sets_position_and_velocity_right() -> None:
 
 @pytest.mark.long
 def test_what_follows_a_late_heading_is_consistent() -> None:
-    """NEES per degree of freedom right behind it and 15 s later, 60 runs, any heading."""
+    """NEES per degree of freedom right behind it and 15 s later, 60 runs, any heading.
+
+    The 15 states together are those with the gyroscope bias, which has covered for the Earth's
+    rotation in a heading that was not known.
+    """
     runs, tail = 60, 0.0005
     found = [nees(flight(UNKNOWN, SEED + k, seconds=TOLD_AT)) for k in range(runs)]
-    dof = {"velocity": 3, "attitude": 3, "heading": 1, "position": 3, "all": 15}
+    dof = {"velocity": 3, "attitude": 3, "heading": 1, "position": 3, "gyroscope bias": 3}
+    dof["all"] = 15
     for block, m in dof.items():
         for at in (TOLD_AT - 1, TOLD_AT + 14):
             mean = np.mean([run[block][at] for run in found])
             low, high = chi2.ppf([tail, 1.0 - tail], m * runs) / (m * runs)
             assert low < mean < high, (block, at)
+
+
+@pytest.mark.parametrize("earth_rate", [True, False])
+@pytest.mark.parametrize("grade", ["mems", "fog"])
+def test_the_bias_gives_back_what_it_has_covered_of_the_earth_rate(
+    grade: str, earth_rate: bool
+) -> None:
+    """Of a heading of 100 deg: r^2 b / (r^2 + b), r from E[cos] = exp(-1.52), b of the bias."""
+    case = replace(UNKNOWN, grade=GRADES[grade], earth_rate=earth_rate)
+    filter_ = Filter(parameters(case))
+    state = filter_.empty()
+    start = mission_of(replace(case, duration=1.0), SEED).initial
+    v_b = start.C_n_b[0].T @ start.v_n[0]
+    initial = Initial(NS, start.C_o_b[0], np.zeros(3), v_b, "body")
+    filter_.initialise(state, initial, NS, np.zeros(3))
+    nav = state[0]["nav"]
+    C, before = nav["C_n_b"].copy(), nav["P"][GYROSCOPE_BIAS, GYROSCOPE_BIAS].copy()
+    report = filter_.update(state, Heading(NS, C), np.zeros(3), 1.0)
+    assert report is not None and report.accepted
+    grown = C @ (nav["P"][GYROSCOPE_BIAS, GYROSCOPE_BIAS] - before) @ C.T
+    expected = np.zeros(3)
+    if earth_rate:
+        one, two = (np.exp(-k * np.radians(100.0) ** 2) for k in (0.5, 2.0))
+        cosine = 1.0 - 2.0 * one + 0.5 * (1.0 + two)
+        sine = 0.5 * (1.0 - two) - one**2 * np.radians(100.0) ** 2
+        r = np.array([cosine, sine, 0.0]) * (EARTH_RATE * np.cos(nav["llh"][0])) ** 2
+        b = GRADES[grade].gyroscope_bias ** 2
+        expected = r * b / (r + b)
+        assert grade == "fog" or np.sqrt(expected[0]) > 6e-5  # rad/s, as the Earth turns
+        assert grade == "mems" or expected[0] < b  # it could cover no more than it can be
+    np.testing.assert_allclose(grown, np.diag(expected), atol=2e-3 * expected.max())
 
 
 def automatic_start(case: Case) -> FilterParameters:
