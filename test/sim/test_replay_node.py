@@ -151,7 +151,7 @@ def test_nothing_is_sent_before_the_consumers_are_there(graph: ReplayGraph, bag:
         ({"bag": ""}, "'bag': it is empty"),
         ({"bag": "/absent"}, "'bag': recording /absent does not exist"),
         ({"imu_topic": "/absent"}, "'/absent' is not in .*; it has /dvl, /other"),
-        ({"dvl_topic": "/imu"}, "/imu .* has type sensor_msgs/msg/Imu, expected"),
+        ({"dvl_topic": "/sensors/imu"}, "/imu .* has type sensor_msgs/msg/Imu, expected"),
         ({"rate_factor": -1.0}, "'rate_factor' must be"),
         ({"rate_factr": 1.0}, "'rate_factr'"),
     ],
