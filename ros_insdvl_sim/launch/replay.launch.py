@@ -31,7 +31,7 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "config",
                 default_value=PathJoinSubstitution(
-                    [FindPackageShare("ros_insdvl"), "config", "navigator.yaml"]
+                    [FindPackageShare("ros_insdvl_sim"), "config", "recording.yaml"]
                 ),
                 description="YAML file with the parameters of insdvl_filter, insdvl_tuner and "
                 "insdvl_replay (the topics of the recording)",

@@ -9,9 +9,13 @@ import yaml
 from ament_index_python.packages import get_package_share_directory
 from graphs import Graph
 from launch_stand_in import DeclareLaunchArgument, Process, description_of, launched
+from nav_msgs.msg import Odometry
 from rcl_interfaces.srv import GetParameters
+from recordings import record, save
 
 from insdvl.messages.topics import BY_NAME
+from insdvl.simulation.mission import mission_of
+from insdvl.simulation.parameters import SimulatorParameters
 from insdvl.studies.report.parameter_page import SECTIONS
 
 FILES = {
@@ -69,6 +73,7 @@ def test_it_starts_what_is_installed(name: str, tmp_path: Path) -> None:
         assert process.ends_all == (process.executable in ("simulator", "replay"))
         assert process.remaps.keys() <= BY_NAME.keys()
         for path in process.files:
+            assert path.is_file()
             document = yaml.safe_load(path.read_text())
             assert {key.rpartition("/")[2] for key in document} <= {"**", *SECTIONS}
 
@@ -130,3 +135,39 @@ def parameter(graph: Graph, node: str, name: str) -> Any:
     request = GetParameters.Request(names=[name])
     (value,) = graph.call(GetParameters, f"{node}/get_parameters", request).values
     return value
+
+
+def fly(graph: Graph, processes: list[Process]) -> list[Odometry]:
+    """The odometry until the process has ended that ends all; every one ends well."""
+    received = graph.keep(Odometry, "odometry/filtered")
+    running = {p.executable: subprocess.Popen(p.command) for p in processes}
+    try:
+        (last,) = (running[process.executable] for process in processes if process.ends_all)
+        graph.until(lambda: last.poll() is not None)
+        graph.until_settled(lambda: len(received), "/insdvl_filter")
+    finally:
+        for process in running.values():
+            process.terminate()
+    assert {name: process.wait() for name, process in running.items()} == dict.fromkeys(running, 0)
+    return received
+
+
+@pytest.mark.long
+def test_the_demo_flies(managed: Any, tmp_path: Path) -> None:
+    arguments = {"duration": "6", "rate_factor": "2", "scenario": "constant"}
+    received = fly(managed(Graph()), launched(FILES["demo"], tmp_path, **arguments))
+    assert len(received) > 500
+
+
+@pytest.mark.long
+def test_a_recording_is_navigated(managed: Any, tmp_path: Path) -> None:
+    save(tmp_path / "dive", record(mission_of(SimulatorParameters(duration=6.0))))
+    config = tmp_path / "vehicle.yaml"
+    config.write_text(
+        "/**/insdvl_filter: {ros__parameters: {process_noise: {source: external}}}\n"
+        "/**/insdvl_tuner: {ros__parameters: {model: default}}\n"
+        "/**/insdvl_replay: {ros__parameters: {imu_topic: /imu, dvl_topic: /dvl}}\n"
+    )
+    arguments = {"bag": str(tmp_path / "dive"), "config": str(config), "rate_factor": "2"}
+    received = fly(managed(Graph()), launched(FILES["replay"], tmp_path, **arguments))
+    assert len(received) > 300  # without an initial state it starts with the first DVL and motion
