@@ -19,7 +19,7 @@ from insdvl.simulation.sensors.dvl import DvlModel
 from insdvl.simulation.trajectories import AUV, BASELINE, LOOP, STATIC
 from insdvl.studies.replay.fold import fold_recording
 from insdvl.studies.replay.scores import report
-from insdvl.watch import alignment
+from insdvl.watch.alignment import check as alignment
 from insdvl.watch.alignment.check import AlignmentCheck
 
 Array = NDArray[np.float64]
