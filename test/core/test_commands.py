@@ -106,9 +106,9 @@ def test_all_wrong_options_are_told_with_the_nearest(capsys: pytest.CaptureFixtu
         "See insdvl evaluate --help.",
     ]
     with pytest.raises(SystemExit) as ended:
-        cli.main(["replay"])
+        cli.main(["init"])
     assert ended.value.code == 2
-    assert "required: BAG, --config, --json" in capsys.readouterr().err
+    assert "required: BAG, -o" in capsys.readouterr().err
 
 
 def test_an_interruption_ends_with_one_line(

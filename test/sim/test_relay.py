@@ -184,6 +184,7 @@ def by_stamp(received: list[Odometry]) -> dict[int, bytes]:
     return {stamp_of(message): serialize_message(message) for message in received}
 
 
+@pytest.mark.long
 def test_behind_duplication_and_reordering_the_filter_gives_the_same_bits(graph: Any) -> None:
     """The stamps of a burst are farther apart than the default max_delay: it is longer here.
 

@@ -60,6 +60,7 @@ def test_the_rows_are_those_of_the_committed_results() -> None:
     assert [(row.group, row.name) for row in ROWS] == committed
 
 
+@pytest.mark.long
 def test_legs_of_a_soak_add_up(tmp_path: Path) -> None:
     options = ["--leg", "10", "--rate-factor", "4", "--out", str(tmp_path)]
     assert soak.soak_and_judge(soak.parse([*options, "--hours", "2"])) == 0

@@ -235,6 +235,7 @@ def test_the_innovations_are_white(case: Case, lag: int) -> None:
     assert abs(correlation) < norm.isf(TAIL), f"{correlation} sigma"
 
 
+@pytest.mark.long
 def test_with_a_reset_jacobian_the_filter_would_be_too_sure(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -96,6 +96,7 @@ def test_a_mount_that_is_known_has_no_states() -> None:
     assert block.time_constant == np.inf
 
 
+@pytest.mark.long
 def test_a_pitched_dvl_carries_the_depth_away_inside_sigma_with_its_mount_as_a_state() -> None:
     """0.1 deg at 1 m/s for 330 s is 0.6 m: not modelled, the sigma does not know of it."""
     unmodelled, errors = [], []

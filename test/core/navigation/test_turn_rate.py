@@ -99,7 +99,9 @@ def test_the_velocity_in_a_turn_is_as_good_as_its_covariance(grade, dvl_rate):
     assert 0.5 < velocity_nees(grade, dvl_rate, 100).mean() < 1.3
 
 
-@pytest.mark.parametrize("grade", sorted(GRADES))
+@pytest.mark.parametrize(
+    "grade", ["mems", *(pytest.param(g, marks=pytest.mark.long) for g in ("fog", "tactical"))]
+)
 def test_the_velocity_in_a_turn_in_short(grade):
     nees = velocity_nees(grade, 8.0, 12)
     assert 0.5 < nees.mean() < 1.5

@@ -73,6 +73,7 @@ def judge(flown_cells: Sequence[Cell], duration: float) -> None:
     assert wrong == []
 
 
+@pytest.mark.long
 def test_every_block_is_as_good_as_it_says() -> None:
     judge(SHORT, 600.0)
 

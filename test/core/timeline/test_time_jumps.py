@@ -96,6 +96,7 @@ def test_one_wrong_stamp_changes_nothing(seconds: float) -> None:
     assert fold.counts["time_jumps"] == fold.counts["recovered"] == 0
 
 
+@pytest.mark.long
 def test_a_filter_behind_with_a_long_queue_of_samples_loses_nothing() -> None:
     """All else comes at once, the samples 90 s later: longer than the jump limit."""
     events = voyage(START, 92.0)

@@ -232,7 +232,10 @@ def unseen():
         return dataset.build_data_set(Recipe("window", 987_654, n_windows=10), pool)
 
 
-@pytest.mark.parametrize("sign", [1, -1])  # of axes that point the other way
+@pytest.mark.parametrize(
+    "sign",
+    [1, pytest.param(-1, marks=pytest.mark.long)],  # of axes that point the other way
+)
 @pytest.mark.parametrize("name", NAMES)
 def test_a_shipped_network_does_as_its_card_says_on_data_of_another_seed(name, sign, unseen):
     """An RMSE over 3,600 new examples has a sigma of about 1.5 % of it: the bound is five."""

@@ -166,6 +166,7 @@ def test_a_dvl_upside_down_is_named_where_it_has_something_to_measure() -> None:
     assert [pitch, yaw] == pytest.approx([0.0, 0.0], abs=math.radians(3.0))
 
 
+@pytest.mark.long
 def test_stamps_that_are_late_are_measured_where_the_speed_changes() -> None:
     """A delay of 0.19 s, within 50 ms, and its sigma tells how far that can be trusted."""
     waves = replace(SURVEY, speed=Channel(1.8, waves=(Wave(0.3, 12.0), Wave(0.2, 7.0))))
