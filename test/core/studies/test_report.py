@@ -311,6 +311,18 @@ def test_two_results_stand_side_by_side(out: Path, tmp_path: Path) -> None:
     assert len(Page(both).places) == 2 * len(Page((out / "report.html").read_text()).places)
 
 
+def test_one_page_of_paper_has_the_format_of_its_option(
+    out: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = ["report", str(out), "-o", str(tmp_path / "page.html")]
+    pictures = ["--png", str(tmp_path / "page.png"), "--pdf", str(tmp_path / "page.pdf")]
+    assert cli.main([*given, *pictures]) == 0
+    assert (tmp_path / "page.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "page.pdf").read_bytes().startswith(b"%PDF")
+    assert cli.main([*given, "--png", str(tmp_path / "page.pdf")]) == 2
+    assert "the name must end in .png" in capsys.readouterr().err
+
+
 def test_the_report_is_made_from_the_folder_alone(out: Path, text: str, tmp_path: Path) -> None:
     moved = shutil.copytree(out, tmp_path / "moved")
     (moved / "report.html").unlink()

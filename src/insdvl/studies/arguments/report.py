@@ -24,3 +24,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the page (default: report.html in the folder; of two, comparison.html in the working "
         "directory)",
     )
+    for suffix in ("png", "pdf"):
+        parser.add_argument(
+            f"--{suffix}",
+            type=Path,
+            metavar="FILE",
+            help=f"also draw the (first) result on one page of paper, as {suffix.upper()}",
+        )

@@ -1,16 +1,22 @@
-"""Plots of navigation results, written as PNG files without a display."""
+"""Plots of navigation results, written without a display, in the format of the file's suffix."""
 
 import io
+import math
+import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.special import gammaincinv
 
 from insdvl.arrays import Array
 from insdvl.extras import extra
 from insdvl.files import write
 from insdvl.studies.evaluation.metrics import Track
+from insdvl.studies.report import figures
+from insdvl.studies.report.results import Result as StoredResult
+from insdvl.studies.report.results import Updates
 
 with extra("plot"):
     from matplotlib.axes import Axes
@@ -22,6 +28,9 @@ with extra("plot"):
 _TRUTH = "#222222"
 _COLOURS = ("#d55e00", "#0072b2", "#009e73", "#cc79a7")
 _MOST_POINTS = 4000
+_ELLIPSES = 15
+_DVL = "dvl"
+FORMATS = ("png", "pdf", "svg")
 
 
 @dataclass(frozen=True)
@@ -101,9 +110,21 @@ def draw_mission(
     _save(path, figure, dpi=110)
 
 
+def format_of(path: Path) -> str:
+    """The format that the suffix of a file names.
+
+    Raises:
+        ValueError: It names none that is written.
+    """
+    name = path.suffix.removeprefix(".").lower()
+    if name not in FORMATS:
+        raise ValueError(f"{path}: the suffix must be one of {', '.join(FORMATS)}")
+    return name
+
+
 def _save(path: Path, figure: Figure, dpi: int) -> None:
     image = io.BytesIO()
-    figure.savefig(image, format="png", dpi=dpi)
+    figure.savefig(image, format=format_of(path), dpi=dpi)
     write(path, image.getvalue())
 
 
@@ -200,3 +221,122 @@ def draw_errors_over_time(path: Path, title: str, series: Mapping[str, Array]) -
         for side in ("top", "right"):
             axes.spines[side].set_visible(False)
     _save(path, figure, dpi=100)
+
+
+def draw_result(path: Path, result: StoredResult) -> None:
+    """Draw a result on one page.
+
+    Args:
+        path: The file; its suffix is png, pdf or svg.
+        result: What is drawn.
+
+    Raises:
+        ValueError: The suffix is another one.
+    """
+    format_of(path)
+    figure = Figure(figsize=(11.7, 16.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    judgement = str(result.numbers["verdict"]["judgement"])
+    figure.suptitle(
+        f"{result.title}\n" + "\n".join(textwrap.wrap(judgement, 110)),
+        fontsize=11,
+        x=0.02,
+        ha="left",
+    )
+    grid = figure.add_gridspec(6, 2, height_ratios=[2.4, 1.0, 1.0, 1.0, 1.0, 1.0])
+    t = result.track["stamp"] - result.start
+    _map(figure.add_subplot(grid[0, :]), result)
+
+    axes = figure.add_subplot(grid[1, 0])
+    depth = result.depth(result.track["position_z"])[:, None]
+    sigma = result.track["position_sigma_z"][:, None]
+    _with_sigma(axes, t, depth, sigma, ["depth"], "depth [m]")
+    axes.invert_yaxis()
+    heading = result.heading_deg[:, None]
+    sigma = result.track["yaw_sigma_deg"][:, None]
+    axes = figure.add_subplot(grid[1, 1])
+    _with_sigma(axes, t, heading, sigma, ["heading"], "heading [deg]")
+    velocity, sigma = result.vector("velocity"), result.vector("velocity_sigma")
+    axes = figure.add_subplot(grid[2, :])
+    _with_sigma(axes, t, velocity, sigma, result.body_axes, "velocity [m/s]")
+    if (updates := result.updates.get(_DVL)) is not None:
+        _innovations(figure.add_subplot(grid[3, :]), result, updates)
+        _nis(figure.add_subplot(grid[4, :]), result, updates)
+    for column, (sensor, unit, scale) in enumerate(
+        (("accelerometer", "mm/s²", 1e3), ("gyroscope", "deg/h", math.degrees(3600.0)))
+    ):
+        values = scale * result.vector(f"{sensor}_bias")
+        sigma = scale * result.vector(f"{sensor}_bias_sigma")
+        axes = figure.add_subplot(grid[5, column])
+        _with_sigma(axes, t, values, sigma, list("xyz"), f"{sensor} bias [{unit}]")
+    for axes in figure.axes[1:]:
+        axes.set_xlim(0.0, result.duration)
+        axes.set_xlabel("time [s]", fontsize=9)
+    for axes in figure.axes:
+        axes.grid(True, linewidth=0.4, alpha=0.6)
+        axes.tick_params(labelsize=9)
+        for side in ("top", "right"):
+            axes.spines[side].set_visible(False)
+    _save(path, figure, dpi=120)
+
+
+def _map(axes: Axes, result: StoredResult) -> None:
+    place, P = result.east_north(result.vector("position")), result.horizontal_covariance
+    for k in np.linspace(0, len(place) - 1, _ELLIPSES).astype(int).tolist():
+        axes.plot(*figures.ellipse(*place[k], P[k]).T, color=figures.BLUE, linewidth=0.5, alpha=0.6)
+    axes.plot(*place.T, color=figures.BLUE, linewidth=1.5, label="filter; ellipses 2 sigma")
+    if result.reference is not None:
+        true = result.east_north(result.of_reference("position"))
+        axes.plot(*true.T, ":", color=figures.GREY, linewidth=1.2, label="reference")
+    axes.plot(*place[0], "o", color=figures.GREEN, label="start")
+    axes.plot(*place[-1], "s", color=figures.RED, label="end")
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_xlabel("east [m]")
+    axes.set_ylabel("north [m]")
+    axes.legend(fontsize=9, frameon=False)
+
+
+def _with_sigma(
+    axes: Axes, t: Array, values: Array, sigma: Array, names: list[str], label: str
+) -> None:
+    for k, name in enumerate(names):
+        low, high = values[:, k] - 2.0 * sigma[:, k], values[:, k] + 2.0 * sigma[:, k]
+        axes.fill_between(t, low, high, color=figures.AXES[k], alpha=0.18, linewidth=0.0)
+        axes.plot(t, values[:, k], color=figures.AXES[k], linewidth=1.0, label=name)
+    margin = max(0.08 * float(np.ptp(values)), 3.0 * float(np.median(sigma)))
+    axes.set_ylim(float(values.min()) - margin, float(values.max()) + margin)
+    axes.set_ylabel(label, fontsize=9)
+    if len(names) > 1:
+        axes.legend(loc="upper right", ncols=3, fontsize=8, frameon=False)
+
+
+def _innovations(axes: Axes, result: StoredResult, updates: Updates) -> None:
+    t, sigmas = updates.stamp - result.start, updates.innovation / updates.sigma
+    judged = np.isfinite(updates.nis)
+    axes.axhspan(-2.0, 2.0, color=figures.BLUE, alpha=0.12, linewidth=0.0)
+    for k, (axis, colour) in enumerate(zip("xyz", figures.AXES, strict=True)):
+        axes.plot(t[judged], sigmas[judged, k], ".", color=colour, markersize=3, label=axis)
+    axes.set_ylim(-6.0, 6.0)
+    axes.set_ylabel("DVL innovation [sigma]", fontsize=9)
+    axes.legend(loc="upper right", ncols=3, fontsize=8, frameon=False)
+
+
+def _nis(axes: Axes, result: StoredResult, updates: Updates) -> None:
+    t, rows = updates.stamp - result.start, updates.innovation.shape[1]
+    for used, label, colour in ((True, "used", figures.BLUE), (False, "refused", figures.RED)):
+        some = np.isfinite(updates.nis) & (updates.accepted == used)
+        axes.plot(
+            t[some],
+            np.maximum(updates.nis[some], 1e-3),
+            ".",
+            color=colour,
+            markersize=3,
+            label=label,
+        )
+    axes.axhline(rows, color=figures.GREEN, linewidth=1.0, linestyle="--")
+    axes.axhline(
+        2.0 * float(gammaincinv(rows / 2.0, 0.999)), color=figures.RED, linewidth=1.0, ls="--"
+    )
+    axes.set_yscale("log")
+    axes.set_ylabel("DVL NIS", fontsize=9)
+    axes.legend(loc="upper right", ncols=2, fontsize=8, frameon=False)

@@ -81,6 +81,40 @@ class Result:
         """(N, m) of columns of the track that differ by their last letter."""
         return np.stack([self.track[f"{name}_{letter}"] for letter in letters], axis=1)
 
+    @property
+    def is_enu(self) -> bool:
+        """Whether the axes of the stream are east, north, up."""
+        told = self.numbers["parameters"]["insdvl_filter"]
+        return bool(told["frame_convention"] == "enu")
+
+    def east_north(self, values: Array) -> Array:
+        """(N, 2) east and north of values (N, >= 2) along x and y of the navigation axes."""
+        return values[:, :2] if self.is_enu else values[:, 1::-1]
+
+    def depth(self, z: Array) -> Array:
+        """Depth below the origin (N,) of coordinates z (N,) [m]."""
+        return -z if self.is_enu else z
+
+    @property
+    def horizontal_covariance(self) -> Array:
+        """(N, 2, 2) of east and north [m^2]."""
+        sigma = self.east_north(self.vector("position_sigma"))
+        P = np.einsum("ki,ij->kij", sigma**2, np.eye(2))
+        P[:, 0, 1] = P[:, 1, 0] = self.track["position_covariance_xy"]
+        return P
+
+    @property
+    def heading_deg(self) -> Array:
+        """(N,) heading from north through east, without jumps [deg]."""
+        yaw = np.degrees(np.unwrap(np.radians(self.track["yaw_deg"])))
+        heading = 90.0 - yaw if self.is_enu else yaw
+        return heading - 360.0 * np.floor(heading[0] / 360.0)
+
+    @property
+    def body_axes(self) -> list[str]:
+        """Names of the axes of the body."""
+        return ["forward", "left", "up"] if self.is_enu else ["forward", "right", "down"]
+
     def of_reference(self, name: str, letters: str = "xyz") -> Array:
         """(N, m) of columns of the reference."""
         assert self.reference is not None

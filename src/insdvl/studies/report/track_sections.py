@@ -10,25 +10,13 @@ from insdvl.studies.report.results import Result
 ELLIPSES = 25
 
 
-def _is_enu(result: Result) -> bool:
-    return bool(result.numbers["parameters"]["insdvl_filter"]["frame_convention"] == "enu")
-
-
-def _east_north(result: Result, values: Array) -> Array:
-    """(N, 2) east and north of values (N, >=2) along x and y of odom."""
-    return values[:, :2] if _is_enu(result) else values[:, 1::-1]
-
-
 def where(result: Result) -> Part:
     """The track on a map, and the depth over time."""
     track, t = result.track, result.track["stamp"] - result.start
-    place = _east_north(result, result.vector("position"))
-    sigma = _east_north(result, result.vector("position_sigma"))
-    cross = track["position_covariance_xy"]
+    place, P = result.east_north(result.vector("position")), result.horizontal_covariance
     rings: list[Array] = []
     for k in np.linspace(0, len(t) - 1, ELLIPSES).astype(int).tolist():
-        P = np.array([[sigma[k, 0] ** 2, cross[k]], [cross[k], sigma[k, 1] ** 2]])
-        rings += [f.ellipse(*place[k], P), np.full((1, 2), np.nan)]
+        rings += [f.ellipse(*place[k], P[k]), np.full((1, 2), np.nan)]
     outline = np.concatenate(rings)
     at = f.thinned(len(t))
     traces = [
@@ -67,12 +55,10 @@ def where(result: Result) -> Part:
             )
         ),
     ]
-    z = track["position_z"] * (1.0 if _is_enu(result) else -1.0)
-    depth = f.with_sigma(
-        t, -z[:, None], track["position_sigma_z"][:, None], ["filter"], "depth [m]"
-    )
+    below = result.depth(track["position_z"])[:, None]
+    depth = f.with_sigma(t, below, track["position_sigma_z"][:, None], ["filter"], "depth [m]")
     if result.reference is not None:
-        true = _east_north(result, result.of_reference("position"))
+        true = result.east_north(result.of_reference("position"))
         some = f.thinned(len(true))
         traces.append(
             {
@@ -84,10 +70,10 @@ def where(result: Result) -> Part:
                 "line": {"color": f.GREY, "width": 1.2, "dash": "dot"},
             }
         )
-        true_z = result.reference["position_z"] * (1.0 if _is_enu(result) else -1.0)
+        true_depth = result.depth(result.reference["position_z"])
         when = result.reference["stamp"] - result.start
         dash = {"dash": "dot", "width": 1.2}
-        depth["data"].append(f.line(when, -true_z, "reference", f.GREY, line=dash))
+        depth["data"].append(f.line(when, true_depth, "reference", f.GREY, line=dash))
     depth["layout"]["yaxis"]["range"].reverse()  # deeper is lower
     text = "<p>North is up, both axes have one scale; depth is below the origin.</p>"
     chart = f.other(
@@ -106,16 +92,10 @@ def where(result: Result) -> Part:
 def motion(result: Result) -> Part:
     """Velocity in body axes, heading, and roll and pitch."""
     track, t = result.track, result.track["stamp"] - result.start
-    names = ["forward", "left", "up"] if _is_enu(result) else ["forward", "right", "down"]
-    velocity = f.with_sigma(
-        t, result.vector("velocity"), result.vector("velocity_sigma"), names, "velocity [m/s]"
-    )
-    yaw = np.degrees(np.unwrap(np.radians(track["yaw_deg"])))
-    heading = 90.0 - yaw if _is_enu(result) else yaw
-    heading -= 360.0 * np.floor(heading[0] / 360.0)
-    course = f.with_sigma(
-        t, heading[:, None], track["yaw_sigma_deg"][:, None], ["heading"], "heading [deg]"
-    )
+    values, sigma = result.vector("velocity"), result.vector("velocity_sigma")
+    velocity = f.with_sigma(t, values, sigma, result.body_axes, "velocity [m/s]")
+    heading, sigma = result.heading_deg[:, None], track["yaw_sigma_deg"][:, None]
+    course = f.with_sigma(t, heading, sigma, ["heading"], "heading [deg]")
     tilt = f.with_sigma(
         t,
         np.stack([track["roll_deg"], track["pitch_deg"]], axis=1),
@@ -132,8 +112,7 @@ def reference(result: Result) -> Part | None:
     if result.reference is None:
         return None
     t = result.reference["stamp"] - result.start
-    axes = ["east", "north", "up"] if _is_enu(result) else ["north", "east", "down"]
-    body = ["forward", "left", "up"] if _is_enu(result) else ["forward", "right", "down"]
+    axes = ["east", "north", "up"] if result.is_enu else ["north", "east", "down"]
     psi = result.of_reference("attitude_error_deg")
     document = result.numbers
     rows = [
@@ -159,7 +138,7 @@ def reference(result: Result) -> Part | None:
             t,
             result.of_reference("velocity_error"),
             result.of_reference("velocity_sigma"),
-            body,
+            result.body_axes,
             "velocity error [m/s]",
         ),
         f.over_time(
