@@ -154,6 +154,17 @@ def reaches(file: ParameterFile, nodes: Collection[str]) -> bool:
     return any(matches(section, node) for section in file.sections for node in nodes)
 
 
+def _is_for_others(file: ParameterFile, nodes: Collection[str]) -> bool:
+    """Whether a file names other nodes of ours and does not mean these by another name.
+
+    One file of a vehicle is given to all of its nodes, and need not have a section for each.
+    """
+    sections = {section.rpartition("/")[2] for section in file.sections}
+    names = {node.rpartition("/")[2] for node in nodes}
+    ours = set(NODES)
+    return bool(sections) and sections <= ours and names <= ours and not names & sections
+
+
 def ignored_text(ignored: Sequence[Given]) -> str:
     """Sentence about ignored values of one file."""
     names = beginning(", ".join(given.name for given in ignored))
@@ -171,7 +182,11 @@ def warnings(
         nodes: Full names of the nodes that read them.
         ignored: The values that none of the nodes knows.
     """
-    told = [nothing_for(file, nodes) for file in files if not reaches(file, nodes)]
+    told = [
+        nothing_for(file, nodes)
+        for file in files
+        if not (reaches(file, nodes) or _is_for_others(file, nodes))
+    ]
     for path in dict.fromkeys(given.path for given in ignored):
         told.append(ignored_text([given for given in ignored if given.path == path]))
     return told

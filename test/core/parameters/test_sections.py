@@ -278,3 +278,14 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ParameterError, match=r"binary\.yaml"):
         load_section(tmp_path / "binary.yaml", FILTER, FilterParameters)
+
+
+def test_a_file_of_other_nodes_of_the_vehicle_is_no_mistake(tmp_path: Path) -> None:
+    """One file is given to all nodes; a renamed node has no section by its old name."""
+    files = read(write(tmp_path, "/**/insdvl_tuner: {ros__parameters: {rate: 2.0}}"))
+    assert warnings(files, ["/auv/insdvl_filter"], []) == []
+    (told,) = warnings(files, ["/auv/learner"], [])
+    assert "none of the file's values reached this node, /auv/learner" in told
+    files = read(write(tmp_path, "/port/insdvl_filter: {ros__parameters: {max_delay: 3.0}}"))
+    (told,) = warnings(files, ["/starboard/insdvl_filter"], [])
+    assert "or in another namespace" in told
