@@ -1,10 +1,13 @@
 """Metadata, changelogs, and the files of an installation aboard, which name what exists."""
 
 import re
+import subprocess
+import sys
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import pytest
+import yaml
 from ament_index_python.packages import get_package_share_directory
 from catkin_pkg.changelog import Changelog, populate_changelog_from_rst
 from sources import PACKAGES, ROOT
@@ -101,3 +104,16 @@ def test_the_unit_restarts_what_may_succeed() -> None:
     folders = {name for line in lines for name in re.findall(r"/var/(cache|lib|log)/insdvl", line)}
     assert {f"{kind}Directory=insdvl" for kind in ("Cache", "State", "Logs")} <= set(lines)
     assert folders == {"cache", "lib", "log"}
+
+
+def test_the_citation_is_of_this_version_and_licence() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert citation["cff-version"] == "1.2.0"
+    assert citation["version"] == text_of("insdvl", "version")
+    assert citation["license"] == text_of("insdvl", "license")
+    assert (
+        citation["title"]
+        in subprocess.run(
+            [sys.executable, "-m", "insdvl.cli", "cite"], capture_output=True, text=True, check=True
+        ).stdout
+    )
