@@ -47,6 +47,17 @@ def refusal(memory: State, model: SensorModel[Any], event: Measurement) -> str:
     return reason
 
 
+def is_frozen(past: Past, least: int) -> bool:
+    """Whether a sensor repeats one number: so many times in a row, or after it was rejected.
+
+    Args:
+        past: What was read before.
+        least: Number of equal readings; 0 for never.
+    """
+    again = past.contradicted and past.repeats > 0
+    return least > 0 and (again or least <= past.repeats + 1)
+
+
 def resolution(values: Array) -> float:
     """The largest of `RESOLUTIONS` of which all values are multiples, in single precision."""
     for step in RESOLUTIONS[:-1]:

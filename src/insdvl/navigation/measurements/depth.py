@@ -19,6 +19,7 @@ from insdvl.navigation.error_state import ACCELEROMETER_BIAS, ATTITUDE, POSITION
 from insdvl.navigation.events import MAX_DISTANCE, MAX_VARIANCE, Limits, Measurement
 from insdvl.navigation.geometry.earth import gravity
 from insdvl.navigation.geometry.rotation import cross_matrix
+from insdvl.navigation.measurements import claims
 from insdvl.navigation.measurements.base import (
     Block,
     Linearised,
@@ -173,10 +174,8 @@ class DepthModel(SensorModel[Depth]):
         return np.array([event.depth])
 
     def refusal(self, event: Depth, past: Past) -> str:
-        """``frozen``: the same number again and again, or once more after it was rejected."""
-        least = self._parameters.frozen_samples
-        again = past.contradicted and past.repeats > 0
-        return "frozen" if least > 0 and (again or least <= past.repeats + 1) else ""
+        """``frozen``, see `claims.is_frozen`."""
+        return "frozen" if claims.is_frozen(past, self._parameters.frozen_samples) else ""
 
     def linearise(self, state: Records, event: Depth, turn: Turn) -> Linearised:
         """d = h_s - h + [C_n_b l]_D, H = [0, -[a x]_D, 0, 0, e_D] and 1 for h_s.

@@ -23,7 +23,7 @@ from insdvl.navigation.error_state import ATTITUDE, GYROSCOPE_BIAS, POSITION, VE
 from insdvl.navigation.events import MAX_VARIANCE, NS, Limits, Measurement
 from insdvl.navigation.geometry.frames import rotation_from_rpy
 from insdvl.navigation.geometry.rotation import cross_matrix
-from insdvl.navigation.measurements import noise
+from insdvl.navigation.measurements import claims, noise
 from insdvl.navigation.measurements.base import (
     Block,
     Linearised,
@@ -206,10 +206,8 @@ class HeadingModel(SensorModel[Heading]):
         return np.array([_yaw(event.C_n_b)])
 
     def refusal(self, event: Heading, past: Past) -> str:
-        """``frozen``: the same number again and again, or once more after it was rejected."""
-        least = self._parameters.frozen_samples
-        again = past.contradicted and past.repeats > 0
-        return "frozen" if least > 0 and (again or least <= past.repeats + 1) else ""
+        """``frozen``, see `claims.is_frozen`."""
+        return "frozen" if claims.is_frozen(past, self._parameters.frozen_samples) else ""
 
     def attitude(self, event: Heading) -> tuple[Array, float]:
         """The attitude, and the sigma of its heading with the sensor's slow error."""
