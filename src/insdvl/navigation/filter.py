@@ -205,7 +205,8 @@ class Filter:
             last,
             kept.every,
             kept.states,
-            kept.track,
+            kept.numbers,
+            kept.integers,
             kept.verdicts,
         )
 

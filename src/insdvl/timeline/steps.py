@@ -50,7 +50,10 @@ class Steps:
         if k >= n:
             return
         state, last = self._state, samples.kept.before(k)
-        state[0] = samples.kept.at(last) if last >= 0 else start[0]
+        if last >= 0:
+            samples.kept.restore(state, last)
+        else:
+            state[0] = start[0]
         k = last + 1
         stamp_ns = int(state[0]["channels"]["imu_ns"])
         e = self._entries.first_after(stamp_ns)

@@ -7,7 +7,7 @@ its result need the track at every sample and the covariance a few times a secon
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl.arrays import Records
+from insdvl.arrays import Array, Records, Stamps
 from insdvl.kernels import kernel
 from insdvl.navigation.state import State
 
@@ -27,23 +27,29 @@ TRACK = np.dtype(
 )
 
 
+# First columns of the fields of `TRACK`, each of eight bytes, for the kernel.
+_C_N_B, _V_N, _LLH = 5, 14, 17
+_COLUMNS = TRACK.itemsize // 8
+
+
 @kernel
 def keep(
     s: State,
     k: int,
     every: int,
     states: Records,
-    track: Records,
+    numbers: Array,
+    integers: Stamps,
     verdicts: NDArray[np.int8],
 ) -> None:
     """Keep the state at sample k, see `Kept`."""
-    nav, t = s.nav, track[k]
-    t.time_ns, t.initialised = nav.time_ns, nav.initialised
-    t.lat_0, t.lon_0, t.h_0 = nav.lat_0, nav.lon_0, nav.h_0
+    nav = s.nav
+    integers[k, 0], integers[k, 1] = nav.time_ns, nav.initialised
+    numbers[k, 2], numbers[k, 3], numbers[k, 4] = nav.lat_0, nav.lon_0, nav.h_0
     for i in range(3):
-        t.v_n[i], t.llh[i] = nav.v_n[i], nav.llh[i]
+        numbers[k, _V_N + i], numbers[k, _LLH + i] = nav.v_n[i], nav.llh[i]
         for j in range(3):
-            t.C_n_b[i, j] = nav.C_n_b[i, j]
+            numbers[k, _C_N_B + 3 * i + j] = nav.C_n_b[i, j]
     for i in range(6):
         verdicts[k, i] = s.channels.verdict[i]
     if (k + 1) % every == 0:
@@ -56,10 +62,11 @@ def _keep(
     k: int,
     every: int,
     states: Records,
-    track: Records,
+    numbers: Array,
+    integers: Stamps,
     verdicts: NDArray[np.int8],
 ) -> None:
-    keep(state[0], k, every, states, track, verdicts)
+    keep(state[0], k, every, states, numbers, integers, verdicts)
 
 
 class Kept:
@@ -73,18 +80,28 @@ class Kept:
     Attributes:
         states: (N // every,) state records; the one of sample k is at ``k // every``.
         track: (N,) records of `TRACK`.
+        numbers: (N, 20) the same as floats, for kernels: a call with one more record costs them
+            more than what they do with it.
+        integers: (N, 20) the same as integers.
         verdicts: (N, 6) on the channels of the samples, see channels.py.
     """
 
     def __init__(self, size: int, dtype: "np.dtype[np.void]", every: int = 1) -> None:
         self.every = every
-        self.states: Records = np.empty(size // every, dtype)
+        self._reserve(size, dtype)
+
+    def _reserve(self, size: int, dtype: "np.dtype[np.void]") -> None:
+        self.states: Records = np.empty(size // self.every, dtype)
         self.track: Records = np.empty(size, TRACK)
+        self.numbers: Array = self.track.view(np.float64).reshape(size, _COLUMNS)
+        self.integers: Stamps = self.track.view(np.int64).reshape(size, _COLUMNS)
         self.verdicts: NDArray[np.int8] = np.empty((size, 6), np.int8)
+        self._bytes = self.states.view(np.uint8).reshape(-1, dtype.itemsize)
 
     def put(self, state: Records, k: int) -> None:
         """Keep the state (1,) at sample k."""
-        _keep(state, k, self.every, self.states, self.track, self.verdicts)
+        arrays = self.states, self.numbers, self.integers, self.verdicts
+        _keep(state, k, self.every, *arrays)
 
     def before(self, k: int) -> int:
         """The last sample before k behind which the state is kept, and -1 for none."""
@@ -93,6 +110,10 @@ class Kept:
     def at(self, k: int) -> State:
         """The state that is kept at sample k."""
         return self.states[k // self.every]
+
+    def restore(self, state: Records, k: int) -> None:
+        """Make a state (1,) the one that is kept at sample k; its bytes copy faster than fields."""
+        state.view(np.uint8)[:] = self._bytes[k // self.every]
 
     def drop(self, count: int, size: int) -> None:
         """Forget the first samples of so many; `count` is a multiple of `every`."""
@@ -105,8 +126,7 @@ class Kept:
 
     def grow(self, size: int) -> None:
         """Make room for so many samples."""
-        larger = Kept(size, self.states.dtype, self.every)
-        larger.states[: len(self.states)] = self.states
-        larger.track[: len(self.track)] = self.track
-        larger.verdicts[: len(self.verdicts)] = self.verdicts
-        self.states, self.track, self.verdicts = larger.states, larger.track, larger.verdicts
+        before = self.states, self.track, self.verdicts
+        self._reserve(size, self.states.dtype)
+        for larger, smaller in zip((self.states, self.track, self.verdicts), before, strict=True):
+            larger[: len(smaller)] = smaller

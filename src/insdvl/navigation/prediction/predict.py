@@ -153,7 +153,8 @@ def predict_samples(
     last: int,
     every: int,
     states: Records,
-    track: Records,
+    numbers: Array,
+    integers: Stamps,
     verdicts: NDArray[np.int8],
 ) -> None:
     """Advance a record over samples and keep what `Kept` keeps, see `filter.Filter`."""
@@ -161,4 +162,4 @@ def predict_samples(
     for k in range(first, last):
         _advance(s, w, c, stamps_ns[k], f_b[k], w_ib_b[k], readings[k], stamps_ns[k])
         _complete(s, c, stamps_ns[k], readings[k])
-        keep(s, k, every, states, track, verdicts)
+        keep(s, k, every, states, numbers, integers, verdicts)
