@@ -105,7 +105,8 @@ def take_earth_rate_from_bias(s: State, before: float, bias: float) -> None:
     sine, cosine = (max(a - b, 0.0) * w_ie_n[0] ** 2 for a, b in zip(old, new, strict=True))
     rates = np.array([cosine, sine, 0.0])  # squares, north, east, down
     covered = rates * bias / (rates + bias) if bias > 0.0 else 0.0 * rates
-    P[_W : _W + 3, _W : _W + 3] += C.T @ (covered[:, None] * C)
+    added = C.T @ (covered[:, None] * C)
+    P[_W : _W + 3, _W : _W + 3] += (added + added.T) / 2.0
 
 
 @kernel

@@ -102,6 +102,8 @@ def test_a_heading_that_is_told_late_sets_position_and_velocity_right() -> None:
     assert 2.0 < sigma[TOLD_AT - 1] < 2.5  # sqrt(2^2 + 1^2)
     assert abs(heading_deg(run)[TOLD_AT - 1]) < 3.0 * sigma[TOLD_AT - 1]
     allowed = 3.0 * np.radians(sigma[TOLD_AT - 1])
+    P = run.filter.covariance(run.states)
+    np.testing.assert_array_equal(P, np.swapaxes(P, 1, 2))
     assert v_n[TOLD_AT - 1] < allowed * 2.0 + 0.1
     assert off[TOLD_AT - 1] < allowed * 110.0 + 3.0
 
