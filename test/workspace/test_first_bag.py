@@ -23,12 +23,12 @@ PAGE = (ROOT / "docs" / "start" / "my-first-bag.md").read_text(encoding="utf-8")
 
 @pytest.fixture
 def at_sea(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with `mission-bag`: IMU and DVL alone, and the page's my.yaml."""
+    """A folder with `mission-bag`: IMU and DVL alone, and the page's better.yaml."""
     mission = simulate(
         BASELINE["circle"],
         SCENARIOS["constant-tableI"],
         seed=9,
-        duration=45.0,
+        duration=60.0,
         dvl=DvlModel(noise_std=(0.02, 0.02, 0.02)),
         start_ns=17 * 10**17,
     )
@@ -37,20 +37,20 @@ def at_sea(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
             if not timed.topic.startswith("ground_truth"):
                 bag.write(encode(f"/{timed.topic}", timed.time_ns, timed.message))
     (block,) = re.findall(r"```\n(/\*\*/insdvl_.*?)```", PAGE, re.DOTALL)
-    (tmp_path / "my.yaml").write_text(block)
+    (tmp_path / "better.yaml").write_text(block)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
 def test_every_command_runs(at_sea: Path, capsys: pytest.CaptureFixture[str]) -> None:
     commands = re.findall(r"^insdvl (.*)$", PAGE, re.MULTILINE)
-    assert len(commands) == 3
+    assert len(commands) == 5
     for command in commands:
         assert cli.main(shlex.split(command)) == 0
     said = capsys.readouterr().out
     assert said.count("Is it right?") == 2
-    assert "TOO CAUTIOUS" in said or "NOT RIGHT" in said  # with the defaults
+    assert "NOT RIGHT: heading unknown" in said and "FITS" in said
     for name in re.findall(r"`(second-run/[\w.]+)`", PAGE):
         assert (at_sea / name).is_file()
-    assert (at_sea / "mission-bag-replay" / "report.html").is_file()
+    assert (at_sea / "first-run" / "report.html").is_file()
     assert (at_sea / "both.html").is_file()

@@ -258,7 +258,7 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "knots": ({"v": np.eye(3) / 0.514444}, {}, r"the DVL is in knots"),
     "deg/s": ({"w": np.eye(3) * math.degrees(1.0)}, {}, r"gyroscope is in deg/s"),
     "IMU axes": ({"f": np.eye(3)[[1, 0, 2]], "w": np.eye(3)[[1, 0, 2]]}, {}, "axes are exchanged"),
-    "DVL axes": ({"v": np.eye(3)[[1, 0, 2]]}, {}, r"DVL is turned about z by \+89"),
+    "DVL axes": ({"v": np.eye(3)[[1, 0, 2]]}, {}, r"DVL is turned about z by \+(89|90)\.\d deg"),
     "R too large": ({}, {"dvl__noise_std": (0.0632,) * 3}, r"told 3\.\d times too large"),
     "R too small": ({}, {"dvl__noise_std": (0.00632,) * 3}, r"told 3\.\d times too small"),
     "Q too large": (

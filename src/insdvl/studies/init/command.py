@@ -30,6 +30,6 @@ def run(arguments: argparse.Namespace) -> int:
         return 2
     print(
         f"{arguments.out}: look at the lines with {CHECK}, then insdvl replay {arguments.bag} "
-        f"--config {arguments.out} --json numbers.json"
+        f"-c {arguments.out}"
     )
     return 0
