@@ -255,7 +255,8 @@ class FilterNode(InsdvlNode[FilterParameters]):
             self._publish()
         if self._state_file is not None and (state := self._fold.latest) is not None:
             self._state_file.offer(state)
-        if topic == self._inputs.initial_topic and self._inputs.initial_done:
+        is_over = topic == self._inputs.initial_topic and self._inputs.initial_done
+        if is_over and topic in self.inputs:  # of those that have waited several come
             self.ignore(topic)
 
     # Outputs

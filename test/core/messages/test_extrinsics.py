@@ -190,9 +190,7 @@ def test_messages_that_tell_no_frame_are_named() -> None:
     found.hear(DVL, SimpleNamespace())
     assert found.missing() == ["dvl: its messages have no frame: set dvl.frame_id"]
     found.hear(DVL, message(""))
-    assert found.missing() == [
-        "dvl: the frame_id of its messages is empty: its driver must set it"
-    ]
+    assert found.missing() == ["dvl: the frame_id of its messages is empty: its driver must set it"]
     found.hear(DVL, message("imu"))
     assert found.missing() == []
 
