@@ -384,8 +384,11 @@ class FilterNode(InsdvlNode[FilterParameters]):
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         is_kept = self._feed.reset()
         self._begin_time()
-        if self._state_file is not None:
-            self._state_file.remove()
+        state_file = self._state_file
+        if state_file is None and self.parameters.state_file:  # it waits for the extrinsics
+            state_file = StateFile(Path(self.parameters.state_file), self._fold.filter)
+        if state_file is not None:
+            state_file.remove()
         kept = "are kept, with their covariance" if is_kept else "are not kept"
         response.success = True
         response.message = f"uninitialised; initial.mode is {self.parameters.initial.mode}"
