@@ -22,7 +22,7 @@ from insdvl.messages.extrinsics import Extrinsics
 from insdvl.messages.feed import Feed
 from insdvl.messages.inputs import frame_id_of
 from insdvl.messages.make import fill_fix, fill_imu, fill_innovation, fill_odometry
-from insdvl.messages.topics import GLOBAL_ODOMETRY, GLOBAL_POSITION, ODOMETRY, Topic
+from insdvl.messages.topics import GLOBAL_ODOMETRY, GLOBAL_POSITION, ODOMETRY, Topic, taken
 from insdvl.messages.transforms import TF, TF_MESSAGE, TF_STATIC, Transforms
 from insdvl.navigation.events import NS, Measurement
 from insdvl.navigation.events import Imu as ImuSample
@@ -100,6 +100,7 @@ class FilterNode(InsdvlNode[FilterParameters]):
     def __init__(self, **options: Any) -> None:
         super().__init__("insdvl_filter", FilterParameters, **options)
         parameters = self.parameters
+        self._check_topics()
         with self.compiling():
             compile_fold(parameters)
             compile_check(parameters)
@@ -142,6 +143,20 @@ class FilterNode(InsdvlNode[FilterParameters]):
             kind, qos = message_class(TF_MESSAGE), latched_command_qos()
             self.listen(kind, TF_STATIC, self._receive_transforms, qos)
         self.start_diagnostics()
+
+    def _check_topics(self) -> None:
+        """A topic whose messages the IMU's may have as well has the IMU's name or is another one.
+
+        Raises:
+            ParameterError: It does.
+        """
+        for name, topic in taken(self.parameters).items():
+            resolved = self.resolve_topic_name(name)
+            if topic.joins and resolved == self.resolve_topic_name(topic.joins):
+                raise ParameterError(
+                    f"parameter '{topic.parameter}' must be '{topic.joins}', got {name!r}: to "
+                    f"ROS both are {resolved}, whose messages have both"
+                )
 
     def _make_feed(self) -> None:
         """Make the filter, with the parameters as they are now."""
@@ -255,7 +270,8 @@ class FilterNode(InsdvlNode[FilterParameters]):
             self._publish()
         if self._state_file is not None and (state := self._fold.latest) is not None:
             self._state_file.offer(state)
-        if topic == self._inputs.initial_topic and self._inputs.initial_done:
+        is_over = topic == self._inputs.initial_topic and self._inputs.initial_done
+        if is_over and topic in self.inputs:  # of those that have waited several come
             self.ignore(topic)
 
     # Outputs
@@ -368,8 +384,11 @@ class FilterNode(InsdvlNode[FilterParameters]):
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         is_kept = self._feed.reset()
         self._begin_time()
-        if self._state_file is not None:
-            self._state_file.remove()
+        state_file = self._state_file
+        if state_file is None and self.parameters.state_file:  # it waits for the extrinsics
+            state_file = StateFile(Path(self.parameters.state_file), self._fold.filter)
+        if state_file is not None:
+            state_file.remove()
         kept = "are kept, with their covariance" if is_kept else "are not kept"
         response.success = True
         response.message = f"uninitialised; initial.mode is {self.parameters.initial.mode}"

@@ -15,7 +15,7 @@ from insdvl.parameters.declaration import (
     declarations,
     flatten,
 )
-from insdvl.parameters.files import ARGUMENT, ParameterFile, effective
+from insdvl.parameters.files import ARGUMENT, ParameterFile, effective, matches
 from insdvl.parameters.sections import Loaded, is_ros_name, load, warnings
 
 _Group = TypeVar("_Group")
@@ -76,7 +76,7 @@ def declare(
         faults.append(str(error))
     if faults:
         raise ParameterError("\n".join(faults))
-    _tell(node, files, loaded)
+    _tell(node, files, loaded, alone=not others)
     values = flatten(loaded.parameters)
     for declaration in declarations(group):
         # Converted already: an integer for a float is an override of the wrong type to rclpy.
@@ -94,8 +94,8 @@ def plain(value: Any) -> Any:
     return list(value) if isinstance(value, tuple | array) else value
 
 
-def _tell(node: Node, files: Sequence[ParameterFile], loaded: Loaded[Any]) -> None:
-    """Warn of files and arguments that have no effect."""
+def _tell(node: Node, files: Sequence[ParameterFile], loaded: Loaded[Any], *, alone: bool) -> None:
+    """Warn of files and arguments that have no effect; an argument may be for another node here."""
     name, log = node.get_fully_qualified_name(), node.get_logger()
     arguments = [given for file in files for given in file.given if given.is_argument]
     of_yaml = [file for file in files if file.path != ARGUMENT]
@@ -103,6 +103,13 @@ def _tell(node: Node, files: Sequence[ParameterFile], loaded: Loaded[Any]) -> No
         log.warning(line)
     values = effective(files, name)
     for given in arguments:
+        if not matches(given.section, name):
+            if alone or given.section.rpartition("/")[2] == node.get_name():
+                log.warning(
+                    f"-p {given.section}:{given.name} has no effect: this node is {name}; use "
+                    f"-p {given.name}:=VALUE"
+                )
+            continue
         taken = values.get(given.name, given)
         if not taken.is_argument and taken.value != given.value:
             log.warning(

@@ -42,7 +42,7 @@ def latched_qos() -> QoSProfile:
 
 
 def latched_command_qos() -> QoSProfile:
-    """Subscription to what was published before, as /tf_static is."""
+    """What was published before, as /tf_static is, for its subscriber and its publisher."""
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=100,

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from insdvl.messages.topics import PROCESS_NOISE
+from insdvl.messages.transforms import TF_MESSAGE, TF_STATIC
 from insdvl.parameters.declaration import ParameterError
 from insdvl.recordings.bag_reader import BagReader
 from insdvl.recordings.base import BagError, stamp_ns
@@ -14,7 +15,7 @@ from insdvl.recordings.played import played
 from ros_insdvl.conversions import message_class
 from ros_insdvl.process.arguments import Help
 from ros_insdvl.process.execution import run_node
-from ros_insdvl.qos import latched_qos
+from ros_insdvl.qos import latched_command_qos, latched_qos
 from ros_insdvl.status.diagnostics import Status, View
 from ros_insdvl_sim.player import Player
 
@@ -26,14 +27,19 @@ HELP = Help(
 The replay plays a rosbag2 recording onto the topics of the filter, at the pace of the IMU's stamps.
 
 publishes   imu/data_raw, dvl/velocity, dvl/velocity_cov, process_noise, gps/fix, set_odometry,
-            ground_truth/odometry, ground_truth/process_noise: those that the recording has;
-            /diagnostics, and /clock with rate_factor
+            ground_truth/odometry, ground_truth/process_noise: those that the recording has, and
+            further_topics; /tf_static where tf2_msgs is installed; /diagnostics, and /clock with
+            rate_factor
 
 It starts when imu/data_raw has min_subscribers subscribers, and ends with the recording.
 `insdvl replay` runs the filter over a recording without ROS.
 """,
     examples=("-p bag:=FOLDER", "-p bag:=FOLDER -p imu_topic:=/xsens/imu"),
 )
+
+
+#: Topics of which late subscribers get the last messages.
+_LATCHED = {PROCESS_NOISE: latched_qos, TF_STATIC: latched_command_qos}
 
 
 class Replay(Player[ReplayParameters]):
@@ -55,7 +61,7 @@ class Replay(Player[ReplayParameters]):
             self.destroy_node()
             raise ParameterError(f"parameter 'bag': {error}") from error
         for recorded, topic in self._topics.items():
-            qos = latched_qos() if topic == PROCESS_NOISE else None
+            qos = _LATCHED[topic]() if topic in _LATCHED else None
             self.advertise(message_class(self._bag.topics[recorded].type), topic, qos)
         self.start_diagnostics()
         self.start_playing(
@@ -70,8 +76,22 @@ class Replay(Player[ReplayParameters]):
         for remark in self._bag.remarks:
             self.get_logger().warning(remark)
         self._topics = played(self._bag, self.parameters)
+        self._play_transforms()
         for raw in self._bag.raw(self._topics):
-            stamp_ns(raw)
+            if raw.topic != TF_STATIC:  # which has a list in place of a header
+                stamp_ns(raw)
+
+    def _play_transforms(self) -> None:
+        """Play /tf_static as well, where its type is installed: extrinsics may come from it."""
+        if TF_STATIC not in self._bag.topics or self._bag.topics[TF_STATIC].type != TF_MESSAGE:
+            return
+        try:
+            message_class(TF_MESSAGE)
+        except ParameterError as error:
+            self._topics.pop(TF_STATIC, None)
+            self.get_logger().info(f"{TF_STATIC} is not played: {error}")
+        else:
+            self._topics[TF_STATIC] = TF_STATIC  # in no namespace
 
     def causes(self, view: View) -> list[Status]:
         """The recording, and how many of its messages were sent."""

@@ -31,6 +31,7 @@ INPUTS = {
     "imu/data_raw": Imu,
     "dvl/velocity": TwistStamped,
     "set_odometry": Odometry,
+    "start": Odometry,
     "compass": QuaternionStamped,
 }
 
@@ -286,6 +287,25 @@ def test_the_filter_waits_for_its_mounts_and_loses_nothing(graph: Any) -> None:
         assert stamp_of(a) == stamp_of(b)
         v, w = a.twist.twist.linear, b.twist.twist.linear
         np.testing.assert_allclose([v.x, v.y, v.z], [w.x, w.y, w.z], atol=1e-12)
+
+
+@pytest.mark.usefixtures("stand_in")
+def test_initial_states_that_have_waited_are_used_and_the_rest_follows(graph: Any) -> None:
+    """Its topic is left when max_delay is over, and several that wait come later."""
+    g = graph(
+        *("imu/data_raw", "start"),
+        **{"extrinsics": "tf", "initial.mode": "topic", "initial.topic": "start"},
+        **{"imu.frame_id": "imu_link", "dvl.frame_id": "dvl_link"},
+        **{"dvl.type": "geometry_msgs/msg/TwistStamped", "max_delay": 0.05},
+    )
+    for first in (0, 10, 20, 30):
+        told = odometry_message(START_NS + first * STEP_NS)
+        g.send(("start", told), *samples(first, first + 10))
+    g.filter._receive_transforms(
+        static(("imu_link", (0.0, 0.0, 0.0), 0.0), ("dvl_link", (0.0, 0.0, 0.0), 0.0))
+    )
+    g.until(lambda: len(g.in_odom) == 40)
+    assert "start" not in g.filter.inputs
 
 
 @pytest.mark.usefixtures("stand_in")

@@ -14,6 +14,7 @@ from told import TOLD
 
 from insdvl.messages.make import set_quaternion
 from insdvl.navigation.events import NS
+from insdvl.parameters.declaration import ParameterError
 from ros_insdvl.conversions import time_of
 from ros_insdvl.filter import FilterNode
 from ros_insdvl.status.heard import OK, WARN
@@ -112,3 +113,13 @@ def test_a_compass_is_found_by_its_type(graph: Callable[..., HeadingGraph]) -> N
         g.send("compass", message)
     g.until(lambda: len(g.innovations) == 9)
     assert g.innovations[0].twist.twist.angular.z == pytest.approx(0.0201, abs=1e-6)
+
+
+def test_another_name_of_the_imus_topic_is_refused() -> None:
+    """By a namespace or a remap; it would be heard twice, and imu.mount would not count."""
+    with pytest.raises(ParameterError) as caught:
+        Graph("/auv").make(FilterNode, **{"heading.topic": "/auv/imu/data_raw"})
+    assert str(caught.value) == (
+        "parameter 'heading.topic' must be 'imu/data_raw', got '/auv/imu/data_raw': to ROS both "
+        "are /auv/imu/data_raw, whose messages have both"
+    )

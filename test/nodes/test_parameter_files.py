@@ -12,6 +12,7 @@ from rclpy.parameter import Parameter
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import ParameterError
 from insdvl.parameters.files import argument, effective, read
+from insdvl.tuner.parameters import TunerParameters
 from ros_insdvl.node import InsdvlNode
 
 ALL, OWN = "/**: {ros__parameters: ", "/**/insdvl_filter: {ros__parameters: "
@@ -245,4 +246,19 @@ def test_an_argument_without_effect_is_told(context: Context, tmp_path: Path) ->
     node = Told(context, *file, "-p", "insdvl_filter:max_delay:=5.0")
     node.destroy_node()
     assert node.parameters.max_delay == 5.0
+    assert node.told == []
+
+
+def test_an_argument_for_a_node_without_its_namespace_is_told(context: Context) -> None:
+    """ROS ignores it without a word: the name of the node does not have the namespace."""
+    rule = ("-p", "insdvl_filter:max_delay:=3.0")
+    node = Told(context, *rule, namespace="/auv")
+    node.destroy_node()
+    assert node.parameters.max_delay == 2.0
+    assert node.told == [
+        "-p insdvl_filter:max_delay has no effect: this node is /auv/insdvl_filter; use "
+        "-p max_delay:=VALUE"
+    ]
+    node = Told(context, "-p", "insdvl_tuner:rate:=2.0", others=[TunerParameters])
+    node.destroy_node()
     assert node.told == []

@@ -11,15 +11,18 @@ import pytest
 from geometry_msgs.msg import TwistStamped
 from graphs import LATCHED, RELIABLE, Graph
 from nav_msgs.msg import Odometry
+from rclpy.qos import DurabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
 
+from insdvl.messages.transforms import TF_MESSAGE, TF_STATIC
 from insdvl.navigation.events import NS
 from insdvl.parameters.declaration import ParameterError
 from insdvl.recordings.bag_reader import BagReader
 from insdvl.recordings.bag_writer import BagWriter
-from insdvl.recordings.base import encode
+from insdvl.recordings.base import encode, new_message
 from insdvl.recordings.messages import imu_message, odometry_message, twist_message
+from ros_insdvl_sim import replay as replay_module
 from ros_insdvl_sim.replay import Replay
 
 DEADLINE = 300.0  # s; only a hang takes so long
@@ -182,3 +185,25 @@ def test_a_damaged_recording_ends_the_process_before_it_publishes(
     assert "parameter 'bag'" in result.stderr
     assert "damaged.mcap" in result.stderr
     assert "Traceback" not in result.stderr
+
+
+def test_transforms_are_played_to_those_who_come_later(
+    graph: ReplayGraph, bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where their type is installed; the filter takes its mounts from them."""
+    with BagReader(bag) as source, BagWriter(tmp_path / "bag") as writer:
+        message = new_message(TF_MESSAGE)
+        writer.write(encode(TF_STATIC, NS, message))
+        for raw in source.raw({topic: topic for topic in source.topics}):
+            writer.write(raw)
+    given = {**topics(bag), "bag": str(tmp_path / "bag"), "min_subscribers": 1}
+    assert TF_STATIC not in graph.replay(**given).outputs
+    look_up = replay_module.message_class
+    monkeypatch.setattr(
+        replay_module, "message_class", lambda k: TwistStamped if k == TF_MESSAGE else look_up(k)
+    )
+    node = graph.replay(**given)
+    assert node.outputs[TF_STATIC].publisher.topic_name == TF_STATIC
+    (info,) = graph.peer.get_publishers_info_by_topic(TF_STATIC)
+    assert info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+    assert next(node.timeline())[1] == TF_STATIC

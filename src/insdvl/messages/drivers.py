@@ -279,12 +279,22 @@ def type_of(message: Any) -> str:
 
     A message without a type of its own is one of ROS's, which are told apart by their fields.
     """
+    if (kind := _name_of_type(message)) in DRIVERS:
+        return kind
+    return TWIST_WITH_COVARIANCE if hasattr(message.twist, "covariance") else TWIST
+
+
+def axes_of(message: Any) -> Axes:
+    """Axes of the velocity of a message, by the name of its type."""
+    driver = DRIVERS.get(_name_of_type(message))
+    return Axes.STREAM if driver is None else driver.axes
+
+
+def _name_of_type(message: Any) -> str:
     kind = getattr(message, "__msgtype__", None)  # of a recording
     if kind is None:
         kind = f"{type(message).__module__.partition('.')[0]}/msg/{type(message).__name__}"
-    if kind in DRIVERS:
-        return str(kind)
-    return TWIST_WITH_COVARIANCE if hasattr(message.twist, "covariance") else TWIST
+    return str(kind)
 
 
 # ---------------------------------------------------------------- messages to pings

@@ -51,14 +51,19 @@ def dvl(message: Any, convention: Convention, *, by_arrival: bool = False) -> Dv
         raise RejectedMessage("no_data", f"the message cannot be understood: {error}") from error
 
 
+def body_axes(axes: Axes, convention: Convention) -> Array:
+    """Rotation (3, 3) from the axes of a type to forward-right-down; its own inverse."""
+    # Body axes of NED are forward-right-down, those of ENU forward-left-up.
+    return {Axes.STREAM: convention, Axes.FRD: NED, Axes.FLU: ENU}[axes].body
+
+
 def _measurement(message: Any, convention: Convention, by_arrival: bool) -> Dvl:
     driver, told = DRIVERS[type_of(message)], ping(message)
     stamp = 0 if by_arrival else _stamp_ns(message, driver)
     latency_ns = _latency_ns(message, driver)
     if not by_arrival and stamp < latency_ns:
         raise RejectedMessage("bad_stamp", f"stamp is {stamp} ns, the latency {latency_ns} ns")
-    # Body axes of NED are forward-right-down, those of ENU forward-left-up.
-    axes = {Axes.STREAM: convention, Axes.FRD: NED, Axes.FLU: ENU}[driver.axes].body
+    axes = body_axes(driver.axes, convention)
     v, R, measured = _velocity(told, driver)
     return Dvl(
         stamp_ns=stamp - latency_ns,

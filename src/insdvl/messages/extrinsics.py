@@ -4,6 +4,10 @@ The transforms of /tf_static make a tree of frames. From base_link to the frame 
 compose to the sensor's mount and lever arm, in the convention of the parameters: those take the
 rotation from the sensor's axes to base_link's, and its position in base_link, in the axes that the
 frames have (frame_convention).
+
+The frame of a DVL has the axes in which its messages are. Those of a driver's own type may look
+down with z where frame_convention looks up; `dvl.mount` does not count that as a turn, so it is
+taken off.
 """
 
 import dataclasses
@@ -15,9 +19,16 @@ import numpy as np
 
 from insdvl.arrays import Array
 from insdvl.messages.convert import RejectedMessage
+from insdvl.messages.drivers import DRIVERS, Axes, axes_of
+from insdvl.messages.dvl import body_axes
 from insdvl.messages.topics import IMU, Topic
 from insdvl.messages.transforms import TF_STATIC
-from insdvl.navigation.geometry.frames import rotation_from_quaternion, rpy_from_rotation
+from insdvl.navigation.geometry.frames import (
+    CONVENTIONS,
+    rotation_from_quaternion,
+    rpy_from_rotation,
+)
+from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import ParameterError, build, flatten
 
@@ -141,6 +152,11 @@ class Extrinsics:
                 self._topics.setdefault(group, []).append(name)
         told = ((g, getattr(getattr(parameters, g), "frame_id", "")) for g in self._topics)
         self._frame_ids = {group: frame_id for group, frame_id in told if frame_id}
+        #: Why the messages of a sensor have not told its frame, by its group.
+        self._silent: dict[str, str] = {}
+        kind = parameters.dvl.type
+        #: Axes of the DVL's messages, None until one is there.
+        self._dvl_axes: Axes | None = None if kind == "auto" else DRIVERS[kind].axes
 
     def hear(self, topic: str, message: Any) -> None:
         """A sensor's message tells its frame, where the parameters do not.
@@ -149,12 +165,23 @@ class Extrinsics:
         where the sensor is.
         """
         for group in [group for group, topics in self._topics.items() if topic in topics]:
+            if group == Dvl.name and self._dvl_axes is None:
+                self._dvl_axes = axes_of(message)
             if hasattr(message, "child_frame_id"):
-                self._frame_ids.setdefault(group, str(message.child_frame_id))
+                self._tell(group, "child_frame_id", message.child_frame_id)
             elif hasattr(message, "pose") or hasattr(message, "quaternion"):
                 del self._topics[group]
             elif hasattr(message, "header"):
-                self._frame_ids.setdefault(group, str(message.header.frame_id))
+                self._tell(group, "frame_id", message.header.frame_id)
+            else:
+                self._silent[group] = f"its messages have no frame: set {group}.frame_id"
+
+    def _tell(self, group: str, name: str, frame_id: Any) -> None:
+        """A message of a sensor has a frame, which may be empty."""
+        if frame_id:
+            self._frame_ids.setdefault(group, str(frame_id))
+        else:
+            self._silent[group] = f"the {name} of its messages is empty: its driver must set it"
 
     def add(self, message: Any) -> None:
         """Take the transforms of a tf2_msgs/TFMessage.
@@ -169,12 +196,20 @@ class Extrinsics:
         sentences = []
         for group, topics in self._topics.items():
             frame_id = self._frame_ids.get(group)
+            if frame_id is None and group in self._silent:
+                sentences.append(f"{group}: {self._silent[group]}")
+                continue
             if frame_id is None:
                 sentences.append(
                     f"no message on {' or '.join(topics)}, which tells the sensor's frame (or set "
                     f"{group}.frame_id)"
                 )
                 continue
+            if group == Dvl.name and self._dvl_axes is None:
+                sentences.append(
+                    f"no message on {' or '.join(topics)}, whose type tells the axes of the "
+                    "sensor's frame (or set dvl.type)"
+                )
             try:
                 self._tree.pose(self._parameters.base_frame, frame_id)
             except FrameError as error:
@@ -197,10 +232,17 @@ class Extrinsics:
             if group not in self._frame_ids:
                 raise FrameError(f"no message has told the frame of {group}")
             pose = self._tree.pose(self._parameters.base_frame, self._frame_ids[group])
-            told = {"mount": rpy_from_rotation(pose.R), "lever_arm": pose.t}
+            told = {"mount": rpy_from_rotation(pose.R @ self._axes(group)), "lever_arm": pose.t}
             for name in _places(getattr(self._parameters, group)):
                 values[f"{group}.{name}"] = tuple(told[name].tolist())
         return values
+
+    def _axes(self, group: str) -> Array:
+        """Rotation (3, 3) to the axes of a sensor's frame from those that its mount has."""
+        convention = CONVENTIONS[self._parameters.frame_convention]
+        if group != Dvl.name or self._dvl_axes is None:
+            return np.eye(3)
+        return body_axes(self._dvl_axes, convention) @ convention.body
 
     def applied(self, parameters: FilterParameters) -> FilterParameters:
         """Parameters with what was found.

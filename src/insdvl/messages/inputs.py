@@ -19,7 +19,12 @@ from insdvl.timeline.fold import Fold
 
 
 def frame_id_of(message: Any) -> str:
-    """The frame_id of a message; empty for one without a header."""
+    """The frame of a sensor that has sent a message; empty for one without a header.
+
+    Of an odometry it is the child_frame_id: its twist is in those axes.
+    """
+    if hasattr(message, "child_frame_id"):
+        return str(message.child_frame_id)
     return str(message.header.frame_id) if hasattr(message, "header") else ""
 
 
@@ -193,11 +198,14 @@ class Inputs:
         """
         if not hasattr(message, "header"):
             return
+        of_odometry = row.measurement and hasattr(message, "child_frame_id")
         for name, get, expected in self._frames[topic]:
             found = str(get(message))
+            if of_odometry:
+                name, found = "child_frame_id", frame_id_of(message)
             if found != expected and (found or not row.command):
                 raise RejectedMessage("wrong_frame", f"{name} is {found!r}, not {expected!r}")
-        frame_id = frame_id_of(message)
+        frame_id = frame_id_of(message) if of_odometry else str(message.header.frame_id)
         if self.frame_ids.setdefault(topic, frame_id) != frame_id:
             self.frame_ids[topic] = frame_id
             self.frame_changes[topic] += 1

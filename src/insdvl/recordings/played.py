@@ -31,8 +31,10 @@ def played(
     def play(parameter: str, recorded: str, topic: str, types: tuple[str, ...]) -> None:
         if not recorded or not bag.has(recorded, *types):
             return
-        if found.setdefault(recorded, topic) != topic:
-            raise BagError(f"{parameter} {recorded!r} is already played on {found[recorded]}")
+        if (on := found.setdefault(recorded, topic)) != topic:
+            joins = any(n.lstrip("/") == topic and row.joins == on for n, row in taken.items())
+            remedy = f": set {parameter} to {on}, whose messages have both" if joins else ""
+            raise BagError(f"{parameter} {recorded!r} is already played on {on}{remedy}")
 
     for row in TOPICS:
         if row.replay_parameter:

@@ -7,13 +7,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from insdvl.messages import drivers
 from insdvl.messages.convert import RejectedMessage
+from insdvl.messages.dvl import dvl
 from insdvl.messages.extrinsics import Extrinsics, FrameError, FrameTree
 from insdvl.messages.topics import DVL, IMU, taken
+from insdvl.navigation.events import NS
 from insdvl.navigation.filter import Filter
-from insdvl.navigation.geometry.frames import rotation_from_rpy
+from insdvl.navigation.geometry.frames import CONVENTIONS, rotation_from_rpy
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build
+from insdvl.recordings.drivers import dvl_message
 
 
 def transform(parent: str, child: str, xyz: Any = (0, 0, 0), rpy: Any = (0, 0, 0)) -> Any:
@@ -135,10 +139,59 @@ def test_what_is_missing_is_named() -> None:
 
 
 def test_a_frame_of_the_parameters_needs_no_message() -> None:
-    found = extrinsics(imu__frame_id="imu", dvl__frame_id="dvl")
-    found.add(
-        SimpleNamespace(transforms=[transform("base_link", "imu"), transform("base_link", "dvl")])
+    told = transform("base_link", "imu"), transform("base_link", "dvl")
+    waits = extrinsics(imu__frame_id="imu", dvl__frame_id="dvl")
+    waits.add(SimpleNamespace(transforms=list(told)))
+    assert waits.missing() == [
+        "no message on dvl/velocity or dvl/velocity_cov, whose type tells the axes of the sensor's "
+        "frame (or set dvl.type)"
+    ]
+    found = extrinsics(imu__frame_id="imu", dvl__frame_id="dvl", dvl__type=drivers.DVL_MSGS)
+    found.add(SimpleNamespace(transforms=list(told)))
+    assert found.missing() == []
+
+
+@pytest.mark.parametrize("convention", ["enu", "ned"])
+@pytest.mark.parametrize("kind", [k for k, d in drivers.DRIVERS.items() if d.header])
+@pytest.mark.parametrize("is_set", [False, True])
+def test_the_frame_of_a_dvl_has_the_axes_of_its_messages(
+    kind: str, convention: str, is_set: bool
+) -> None:
+    """So the transform takes the velocity of a message to base_link, whatever its type."""
+    rpy = (2.9, -0.1, 0.7)
+    given = {"dvl.type": kind} if is_set else {}
+    parameters = build(
+        FilterParameters, {"extrinsics": "tf", "frame_convention": convention, **given}
     )
+    found = Extrinsics(parameters, taken(parameters))
+    found.add(
+        SimpleNamespace(
+            transforms=[transform("base_link", "dvl", rpy=rpy), transform("base_link", "imu")]
+        )
+    )
+    axes = CONVENTIONS[convention]
+    ping = dvl_message(kind, 10 * NS, (1.2, -0.3, 0.2), convention=axes)
+    if hasattr(ping, "child_frame_id"):
+        ping.header.frame_id, ping.child_frame_id = "odom", "dvl"
+    else:
+        ping.header.frame_id = "dvl"
+    found.hear(DVL, ping)
+    found.hear(IMU, message("imu"))
+    assert found.missing() == []
+    mount = rotation_from_rpy(np.array(found.applied(parameters).dvl.mount))
+    v_b = axes.body_rotation(mount) @ dvl(ping, axes).v_d
+    R = Rotation.from_euler("xyz", rpy).as_matrix()
+    np.testing.assert_allclose(axes.body @ v_b, R @ drivers.ping(ping).velocity, atol=1e-12)
+
+
+def test_messages_that_tell_no_frame_are_named() -> None:
+    found = extrinsics(imu__frame_id="imu", dvl__type=drivers.NUCLEUS_BOTTOM)
+    found.add(SimpleNamespace(transforms=[transform("base_link", "imu")]))
+    found.hear(DVL, SimpleNamespace())
+    assert found.missing() == ["dvl: its messages have no frame: set dvl.frame_id"]
+    found.hear(DVL, message(""))
+    assert found.missing() == ["dvl: the frame_id of its messages is empty: its driver must set it"]
+    found.hear(DVL, message("imu"))
     assert found.missing() == []
 
 

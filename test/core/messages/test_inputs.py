@@ -91,6 +91,18 @@ def test_a_declared_frame_is_the_only_one() -> None:
     assert not of.frame_changes
 
 
+def test_the_frame_of_a_sensor_that_sends_odometry_is_its_child() -> None:
+    """As `extrinsics: tf` takes it: the twist is in the axes of the child."""
+    of = inputs(dvl__frame_id="dvl_link")
+    assert len(events(of, "dvl/velocity", odometry(child_frame_id="dvl_link"))) == 1
+    assert of.frame_ids == {"dvl/velocity": "dvl_link"}
+    with pytest.raises(RejectedMessage, match="child_frame_id is 'base_link', not 'dvl_link'"):
+        events(of, "dvl/velocity", odometry(frame_id="dvl_link"))
+    told = inputs()
+    events(told, "set_odometry", odometry())
+    assert told.frame_ids == {"set_odometry": "odom"}
+
+
 def test_a_frame_that_changes_is_counted_and_used() -> None:
     of = inputs()
     for frame_id in ("a", "a", "b", "b", "a"):

@@ -13,7 +13,7 @@ from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build
 from insdvl.recordings.bag_reader import BagReader
 from insdvl.recordings.bag_writer import BagWriter
-from insdvl.recordings.base import decode, encode
+from insdvl.recordings.base import BagError, decode, encode
 from insdvl.recordings.messages import message_of
 from insdvl.simulation.messages import heading_messages, imu_messages
 from insdvl.simulation.mission import Mission, simulate
@@ -91,3 +91,13 @@ def test_an_imu_without_orientation_is_named(mission: Mission, tmp_path: Path) -
     assert numbers["heading_rejected_by_reason"] == {"no_data": 1000}
     assert numbers["rejected"] == {"heading: no_data": 1000}
     assert numbers["imu_samples"] == 1000
+
+
+def test_the_imus_topic_is_named_as_the_nodes_know_it(mission: Mission, tmp_path: Path) -> None:
+    path = save(tmp_path / "bag", record(mission))
+    with pytest.raises(BagError) as caught:
+        read(path, REPLAY, settings("/imu"))
+    assert str(caught.value) == (
+        "heading.topic '/imu' is already played on imu/data_raw: set heading.topic to "
+        "imu/data_raw, whose messages have both"
+    )

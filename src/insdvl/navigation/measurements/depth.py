@@ -77,7 +77,9 @@ class DepthParameters(SensorParameters):
         "or the z of geometry_msgs/PoseWithCovarianceStamped or nav_msgs/Odometry. Empty for none.",
     )
     frame_id: str = parameter(
-        "", "A measurement of any other frame_id is refused as 'wrong_frame'; empty for any."
+        "",
+        "A measurement of any other frame_id is refused as 'wrong_frame'; empty for any. Of an "
+        "odometry it is the child_frame_id.",
     )
     lever_arm: tuple[float, ...] = lever_arm("depth sensor")
     noise_std: float = parameter(

@@ -107,13 +107,13 @@ class DvlParameters(SensorParameters):
         "message",
         "Whose time a measurement has: that of the message, or the stamp of the newest IMU sample "
         "at its arrival, for a device whose clock is not set. The state then depends on the order "
-        "of arrival; set time_offset to what the message takes to arrive.",
+        "of arrival; set time_offset to minus the time that the message takes to arrive.",
         choices=("message", "arrival"),
     )
     frame_id: str = parameter(
         "",
-        "A measurement of any other frame_id is refused as 'wrong_frame'; empty for any. A message "
-        "without a header has none.",
+        "A measurement of any other frame_id is refused as 'wrong_frame'; empty for any. Of an "
+        "odometry it is the child_frame_id. A message without a header has none.",
     )
     mount: tuple[float, ...] = parameter(
         (0.0, 0.0, 0.0),
