@@ -49,7 +49,7 @@ def test_every_command_runs(at_sea: Path, capsys: pytest.CaptureFixture[str]) ->
         assert cli.main(shlex.split(command)) == 0
     said = capsys.readouterr().out
     assert said.count("Is it right?") == 2
-    assert "NOT RIGHT: heading unknown" in said and "FITS" in said
+    assert "NOT RIGHT: heading unknown" in said  # of the first run
     for name in re.findall(r"`(second-run/[\w.]+)`", PAGE):
         assert (at_sea / name).is_file()
     assert (at_sea / "first-run" / "report.html").is_file()
