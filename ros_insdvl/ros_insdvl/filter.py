@@ -108,7 +108,7 @@ class FilterNode(InsdvlNode[FilterParameters]):
         self._make_feed()
         if parameters.extrinsics == "tf":
             self._waiting = Waiting(Extrinsics(parameters, self._inputs.topics))
-        self._begin(self._waiting and self._waiting.extrinsics)
+        self._begin(None if self._waiting is None else self._waiting.extrinsics)
 
         self._odometry = self.advertise(Odometry, ODOMETRY)
         self._global: Output | None = None

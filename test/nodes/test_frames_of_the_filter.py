@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
@@ -13,6 +14,7 @@ from nav_msgs.msg import Odometry
 from ros_messages import STEP_NS, dvl_message, imu_message, odometry_message, stamp_of
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import Imu
+from std_srvs.srv import Trigger
 from told import TOLD
 
 from insdvl.messages.transforms import TF, TF_MESSAGE, TF_STATIC, Transforms
@@ -306,6 +308,15 @@ def test_initial_states_that_have_waited_are_used_and_the_rest_follows(graph: An
     )
     g.until(lambda: len(g.in_odom) == 40)
     assert "start" not in g.filter.inputs
+
+
+@pytest.mark.usefixtures("stand_in")
+def test_a_reset_while_it_waits_forgets_the_state_file(graph: Any, tmp_path: Path) -> None:
+    path = tmp_path / "state"
+    path.write_text("of another dive")
+    g = graph("imu/data_raw", extrinsics="tf", state_file=str(path))
+    response = g.filter._reset(Trigger.Request(), Trigger.Response())
+    assert response.success and not path.exists()
 
 
 @pytest.mark.usefixtures("stand_in")

@@ -19,6 +19,11 @@ from insdvl.parameters.sections import load_section
 from insdvl.recordings.base import encode, new_message
 from insdvl.recordings.parameters import ReplayParameters
 from insdvl.simulation.grades import GRADES
+from insdvl.simulation.mission import simulate
+from insdvl.simulation.noise import constant
+from insdvl.simulation.sensors.dvl import DvlModel
+from insdvl.simulation.sensors.imu import ImuModel
+from insdvl.simulation.trajectories import AUV
 from insdvl.studies.init.template import CHECK
 from insdvl.studies.report.parameter_page import TO_SET
 
@@ -108,3 +113,22 @@ def test_nothing_is_written_of_what_is_not_usable(
     assert cli.main(["init", str(bag), "-o", str(tmp_path / "my.yaml")]) == 1
     assert "No topic has a type of a DVL" in capsys.readouterr().err
     assert not (tmp_path / "my.yaml").exists()
+
+
+def test_a_simulator_without_noise_gives_parameters_that_a_filter_takes(tmp_path: Path) -> None:
+    mission = simulate(
+        AUV,
+        constant([0.0] * 6),
+        seed=1,
+        duration=SECONDS,
+        imu=ImuModel(accelerometer_bias_walk=0.0, gyroscope_bias_walk=0.0),
+        dvl=DvlModel(noise_std=np.zeros(3)),
+        start_ns=START_NS,
+    )
+    path, written = save(tmp_path / "dive", raws_of(mission)), tmp_path / "my.yaml"
+    assert cli.main(["init", str(path), "-o", str(written)]) == 0
+    parameters = load_section(written, "insdvl_filter", FilterParameters)
+    noise = parameters.process_noise
+    assert min(parameters.dvl.noise_std) >= 1e-3
+    assert min(noise.accelerometer_variance) >= noise.accelerometer_floor
+    assert min(noise.gyroscope_variance) >= noise.gyroscope_floor

@@ -256,7 +256,11 @@ def _samples(seen: Inspection) -> Iterator[Finding]:
             )
     for count, text in (
         (imu.saturated, "at the end of the declared range"),
-        (imu.frozen, "with a frozen channel, bit-equal for imu.frozen_samples"),
+        (
+            imu.frozen,
+            "with a frozen channel, bit-equal for imu.frozen_samples (for a simulator without "
+            "noise set that to 0)",
+        ),
         (imu.no_data, "with a specific force of exactly zero"),
         (imu.glitches, "with a reading that leaves its neighbours (a glitch)"),
     ):
@@ -281,6 +285,8 @@ def _noise(seen: Inspection) -> dict[str, tuple[float, ...]]:
     found: dict[str, tuple[float, ...]] = {}
     for name, part in (("accelerometer", slice(0, 3)), ("gyroscope", slice(3, 6))):
         variance = float(seen.imu.variance[part].max())
+        if variance:  # that of a simulator may be rounding alone
+            variance = max(variance, getattr(told, f"{name}_floor"))
         told_variance = max(getattr(told, f"{name}_variance"))
         if variance and not 1 / 9 <= told_variance / variance <= 9:
             found[f"process_noise.{name}_variance"] = (float(f"{variance:.2g}"),) * 3

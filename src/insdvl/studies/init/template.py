@@ -82,13 +82,15 @@ def _filter(seen: Inspection) -> Iterator[Line]:
     if dvl.scatter is None or not dvl.scatter.any():
         yield Line("dvl.noise_std", p.dvl.noise_std, f"{CHECK}: m/s, by its data sheet")
     else:
-        sigma = float(f"{np.sqrt(np.mean(dvl.scatter**2)):.2g}")
+        sigma = max(float(f"{np.sqrt(np.mean(dvl.scatter**2)):.2g}"), _LEAST_SCATTER)
         yield Line("dvl.noise_std", (sigma,) * 3, "m/s, by their scatter")
     yield Line("initial.mode", p.initial.mode, "assumes nothing")
     told = "the IMU tells it" if orientation.is_told else f"{CHECK}: no sensor tells it"
     yield Line("initial.heading", p.initial.heading, told)
     yield Line("process_noise.source", "constant", "external: the tuner learns it")
-    variance = np.where(imu.variance > 0.0, imu.variance, _told(p))
+    noise = p.process_noise
+    floors = np.repeat([noise.accelerometer_floor, noise.gyroscope_floor], 3)
+    variance = np.where(imu.variance > 0.0, np.maximum(imu.variance, floors), _told(p))
     name, grade = _grade(variance, rate)
     for k, sensor in enumerate(("accelerometer", "gyroscope")):
         values = tuple(float(f"{x:.2g}") for x in variance[3 * k : 3 * k + 3])
@@ -99,6 +101,10 @@ def _filter(seen: Inspection) -> Iterator[Line]:
         why = f"{CHECK}: grade {name}, by its noise"
         yield Line(f"initial.{sensor}_bias_std", float(f"{bias:.2g}"), why)
         yield Line(f"process_noise.{sensor}_bias_walk", float(f"{walk:.2g}"), why)
+
+
+#: The resolution of a DVL's numbers [m/s]: that of a simulator may have no noise.
+_LEAST_SCATTER = 1e-3
 
 
 def _told(p: FilterParameters) -> list[float]:
