@@ -205,6 +205,20 @@ def test_the_mount_is_accused_only_beyond_chance_and_beyond_careful_installation
     assert "; or the stamps of the DVL are 0.10 s late" in two.text
 
 
+def test_what_could_be_twice_as_far_off_as_care_allows_without_a_finding_is_not_shown() -> None:
+    def hidden(**factors: float) -> str:
+        sigmas = {u.name: factors.get(u.name, 0.4) * u.careful for u in UNKNOWNS}
+        changes = tuple(Change(u, 0.0, sigmas[u.name]) for u in UNKNOWNS)
+        return ", ".join(verdict._not_shown(changes))
+
+    assert hidden() == ""
+    assert hidden(mount_x=2.0) == "the roll of the DVL (sigma 2 deg)"
+    assert hidden(mount_y=0.7) == "its pitch (sigma 0.7 deg)"
+    assert hidden(lever_arm_x=1.0, lever_arm_z=3.0) == "its lever arm (sigma 0.3 m)"
+    assert hidden(time_offset=6.0) == "its time offset (sigma 0.12 s)"
+    assert hidden(scale=0.6) == "its scale (sigma 0.6 %)"
+
+
 def test_refusals_by_name_are_told_with_their_remedy() -> None:
     filter_ = Filter(build(FilterParameters, RIGHT))
     document = {
@@ -304,6 +318,8 @@ def test_the_line_names_what_is_wrong_and_what_to_set(case: str, seed: int) -> N
     kind = "TOO CAUTIOUS" if case.endswith("too large") else "NOT RIGHT"
     assert found.judgement.startswith(kind), found.judgement
     assert re.search(expected, found.judgement), found.judgement
+    if case in ("knots", "deg/s", "IMU axes", "DVL axes"):
+        assert {finding.name for finding in found.findings} <= {"axes", "refused"}
 
 
 @pytest.mark.long

@@ -22,7 +22,7 @@ from insdvl.navigation.odometry import odometry
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.studies.evaluation.metrics import path_length
 from insdvl.studies.judgement.innovations import FEWEST, SIGMAS, statistics
-from insdvl.studies.judgement.mounting import MOST, Change, mounting, told_otherwise
+from insdvl.studies.judgement.mounting import ARMS, MOST, Change, mounting, told_otherwise
 from insdvl.studies.judgement.noise import DvlNoise, dvl_noise, imu_variances
 from insdvl.studies.judgement.withheld import WINDOWS, Withheld, predictions
 from insdvl.studies.replay.fold import Replayed
@@ -95,7 +95,8 @@ def verdict(replayed: Replayed, parameters: FilterParameters, document: dict[str
         if u.report.measurement == Dvl.name and u.report.corrected
     }
     noise = dvl_noise(replayed.taken, filter_, replayed.ping_noise)
-    # Axes or units that are wrong make the rest meaningless, and its computation long.
+    # Axes or units that are wrong make the rest meaningless, and its computation long; what they
+    # do to noise, gate and biases would be called the fault of these.
     mount = None if replayed.findings else mounting(replayed.taken, parameters, used)
     part = replayed.taken.first(MOST)
     withheld = [
@@ -104,18 +105,17 @@ def verdict(replayed: Replayed, parameters: FilterParameters, document: dict[str
         if not replayed.findings and (found := predictions(part, parameters, used, seconds))
     ]
     imu = imu_variances(part)
-    findings = [
-        *_of_axes(replayed),
-        *_of_start(document),
-        *_of_claims(document, filter_),
-        *_of_dvl_noise(noise, parameters),
-        *_of_mount(mount, parameters),
-        *_of_gate(document, innovations, filter_),
-        *_of_prediction(innovations, noise, withheld, parameters, imu),
-        *_of_biases(document),
-        *_of_whiteness(innovations, parameters),
-        *_of_reference(document),
-    ]
+    findings = [*_of_axes(replayed), *_of_start(document), *_of_claims(document, filter_)]
+    if not replayed.findings:
+        findings += [
+            *_of_dvl_noise(noise, parameters),
+            *_of_mount(mount, parameters),
+            *_of_gate(document, innovations, filter_),
+            *_of_prediction(innovations, noise, withheld, parameters, imu),
+            *_of_biases(document),
+            *_of_whiteness(innovations, parameters),
+            *_of_reference(document),
+        ]
     numbers = {
         "innovations": innovations,
         "refused_share": _refused_share(document),
@@ -146,23 +146,26 @@ def _judgement(
         return f"CANNOT TELL: only {accepted} DVL measurements were used, {FEWEST} are needed"
     text = "FITS: nothing in the innovations contradicts the configuration"
     if hidden := ", ".join(_not_shown(mount)):
-        text += f"; not seen by this motion: {hidden}; turns and changes of speed show it"
+        text += f"; not seen by this motion: {hidden}; turns, dives and changes of speed show it"
     return text
 
 
 def _not_shown(mount: Mount | None) -> Iterator[str]:
-    """What the motion shows less well than it is set with care, with its sigma."""
+    """What could be off by twice what care allows and be no finding, with its sigma."""
     if mount is None:
         return
     by_name = {change.unknown.name: change for change in mount}
-    for name, shown, scale, unit in (
-        ("mount_z", "the yaw of the DVL", math.degrees(1.0), "deg"),
-        ("time_offset", "its time offset", 1.0, "s"),
-        ("scale", "its scale", 100.0, "%"),
+    for names, shown, scale, unit in (
+        (("mount_x",), "the roll of the DVL", math.degrees(1.0), "deg"),
+        (("mount_y",), "its pitch", math.degrees(1.0), "deg"),
+        (("mount_z",), "its yaw", math.degrees(1.0), "deg"),
+        (ARMS, "its lever arm", 1.0, "m"),
+        (("time_offset",), "its time offset", 1.0, "s"),
+        (("scale",), "its scale", 100.0, "%"),
     ):
-        change = by_name[name]
-        if change.sigma > change.unknown.careful:
-            yield f"{shown} (sigma {change.sigma * scale:.2g} {unit})"
+        worst = max((by_name[name] for name in names), key=lambda change: change.sigma)
+        if MOUNT_SIGMAS * worst.sigma > 2.0 * worst.unknown.careful:
+            yield f"{shown} (sigma {worst.sigma * scale:.2g} {unit})"
 
 
 # ---------------------------------------------------------------- the rules
