@@ -205,6 +205,17 @@ def test_the_mount_is_accused_only_beyond_chance_and_beyond_careful_installation
     assert "; or the stamps of the DVL are 0.10 s late" in two.text
 
 
+def test_the_variance_that_the_samples_contradict_is_not_to_be_changed() -> None:
+    parameters = build(FilterParameters, RIGHT)  # 1e-4 and 1e-6
+    lower = verdict._variances(parameters, (1e-5, 1e-5), large=False)
+    assert lower.startswith("lower process_noise.accelerometer_variance (told 0.0001,")
+    assert "gyroscope" not in lower
+    higher = verdict._variances(parameters, (1e-5, 1e-5), large=True)
+    assert higher.startswith("raise process_noise.gyroscope_variance (told 1e-06,")
+    both = verdict._variances(parameters, (1e-5, 1e-7), large=True)  # neither: vibration, or motion
+    assert "accelerometer_variance" in both and " and process_noise.gyroscope_variance" in both
+
+
 def test_what_could_be_twice_as_far_off_as_care_allows_without_a_finding_is_not_shown() -> None:
     def hidden(**factors: float) -> str:
         sigmas = {u.name: factors.get(u.name, 0.4) * u.careful for u in UNKNOWNS}

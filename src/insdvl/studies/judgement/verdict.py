@@ -330,19 +330,30 @@ def _of_prediction(
     else:
         return
     if source == "constant":
-        told = (
-            parameters.process_noise.accelerometer_variance,
-            parameters.process_noise.gyroscope_variance,
-        )
         remedy = (
-            f"{'raise' if large else 'lower'} process_noise.accelerometer_variance (told "
-            f"{np.mean(told[0]):.2g}, differences of the samples show {imu[0]:.2g}) and "
-            f"gyroscope_variance (told {np.mean(told[1]):.2g}, shown {imu[1]:.2g}), or set "
-            "process_noise.source to 'external'"
+            f"{_variances(parameters, imu, large=large)}, or set process_noise.source to 'external'"
         )
     else:
         remedy = f"compare with process_noise.source 'constant'; it is {source!r}"
     yield Finding("prediction", text, remedy, cautious=not large)
+
+
+def _variances(parameters: FilterParameters, imu: tuple[float, float], *, large: bool) -> str:
+    """Which variances to raise, or to lower: those that the samples do not contradict, if any."""
+    noise = parameters.process_noise
+    both = [
+        (name, float(np.mean(told)), shown)
+        for name, told, shown in (
+            ("accelerometer_variance", noise.accelerometer_variance, imu[0]),
+            ("gyroscope_variance", noise.gyroscope_variance, imu[1]),
+        )
+    ]
+    named = [one for one in both if (one[1] < one[2]) == large] or both
+    texts = [
+        f"process_noise.{name} (told {told:.2g}, differences of the samples show {shown:.2g})"
+        for name, told, shown in named
+    ]
+    return f"{'raise' if large else 'lower'} {' and '.join(texts)}"
 
 
 def _of_biases(document: dict[str, Any]) -> Iterator[Finding]:
