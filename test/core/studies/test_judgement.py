@@ -185,6 +185,7 @@ def test_noise_that_is_told_rightly_is_no_finding_and_other_noise_has_its_value(
     told = replace(NOISE, told=0.002, by_messages=True)
     (small,) = verdict._of_dvl_noise(told, parameters)
     assert "10.0 times too small" in small.text
+    assert "or somewhat more" not in small.remedy
     assert "dvl.covariance to 'parameters'" in small.remedy
 
 

@@ -285,6 +285,8 @@ def _of_dvl_noise(noise: DvlNoise | None, parameters: FilterParameters) -> Itera
     remedy = f"set dvl.noise_std to {value} m/s"
     if noise.by_messages:
         remedy += ", and dvl.covariance to 'parameters': the messages tell another one"
+    if ratio > 1.0:
+        remedy += " or somewhat more: errors that last longer than seconds are not in it"
     yield Finding(
         "dvl_noise",
         f"the noise of the DVL is told {by}: sigma {noise.told:.2g} m/s, and the recording shows "
