@@ -206,6 +206,17 @@ def test_the_mount_is_accused_only_beyond_chance_and_beyond_careful_installation
     assert "; or the stamps of the DVL are 0.10 s late" in two.text
 
 
+def test_the_line_is_of_what_makes_it_not_right() -> None:
+    cautious = verdict.Finding("dvl_noise", "told too large", "lower it", cautious=True)
+    wrong = verdict.Finding("mount", "turned", "set it")
+
+    def line(*findings: verdict.Finding) -> str:
+        return verdict._judgement(list(findings), None, None, {})
+
+    assert line(cautious) == "TOO CAUTIOUS: told too large: lower it"
+    assert line(cautious, wrong) == "NOT RIGHT: turned: set it (1 more above)"
+
+
 def test_the_variance_that_the_samples_contradict_is_not_to_be_changed() -> None:
     parameters = build(FilterParameters, RIGHT)  # 1e-4 and 1e-6
     lower = verdict._variances(parameters, (1e-5, 1e-5), large=False)

@@ -139,8 +139,9 @@ def _judgement(
 ) -> str:
     if findings:
         more = f" ({len(findings) - 1} more above)" if len(findings) > 1 else ""
-        kind = "TOO CAUTIOUS" if all(finding.cautious for finding in findings) else "NOT RIGHT"
-        return f"{kind}: {findings[0].sentence}{more}"
+        wrong = [finding for finding in findings if not finding.cautious]
+        kind = "NOT RIGHT" if wrong else "TOO CAUTIOUS"
+        return f"{kind}: {(wrong or findings)[0].sentence}{more}"
     if innovations is None:
         accepted = document["dvl_accepted"]
         return f"CANNOT TELL: only {accepted} DVL measurements were used, {FEWEST} are needed"
