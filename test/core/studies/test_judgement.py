@@ -185,6 +185,7 @@ def test_noise_that_is_told_rightly_is_no_finding_and_other_noise_has_its_value(
     told = replace(NOISE, told=0.002, by_messages=True)
     (small,) = verdict._of_dvl_noise(told, parameters)
     assert "10.0 times too small" in small.text
+    assert "or somewhat more" not in small.remedy
     assert "dvl.covariance to 'parameters'" in small.remedy
 
 
@@ -203,6 +204,42 @@ def test_the_mount_is_accused_only_beyond_chance_and_beyond_careful_installation
     assert "+2.9 deg about z" in one.text and "[0.0000, 0.0000, 0.0500] rad" in one.remedy
     (two,) = found(mount_z=(0.05, 0.01), time_offset=(-0.1, 0.0201))
     assert "; or the stamps of the DVL are 0.10 s late" in two.text
+
+
+def test_the_line_is_of_what_makes_it_not_right() -> None:
+    cautious = verdict.Finding("dvl_noise", "told too large", "lower it", cautious=True)
+    wrong = verdict.Finding("mount", "turned", "set it")
+
+    def line(*findings: verdict.Finding) -> str:
+        return verdict._judgement(list(findings), None, None, {})
+
+    assert line(cautious) == "TOO CAUTIOUS: told too large: lower it"
+    assert line(cautious, wrong) == "NOT RIGHT: turned: set it (1 more above)"
+
+
+def test_the_variance_that_the_samples_contradict_is_not_to_be_changed() -> None:
+    parameters = build(FilterParameters, RIGHT)  # 1e-4 and 1e-6
+    lower = verdict._variances(parameters, (1e-5, 1e-5), large=False)
+    assert lower.startswith("lower process_noise.accelerometer_variance (told 0.0001,")
+    assert "gyroscope" not in lower
+    higher = verdict._variances(parameters, (1e-5, 1e-5), large=True)
+    assert higher.startswith("raise process_noise.gyroscope_variance (told 1e-06,")
+    both = verdict._variances(parameters, (1e-5, 1e-7), large=True)  # neither: vibration, or motion
+    assert "accelerometer_variance" in both and " and process_noise.gyroscope_variance" in both
+
+
+def test_what_could_be_twice_as_far_off_as_care_allows_without_a_finding_is_not_shown() -> None:
+    def hidden(**factors: float) -> str:
+        sigmas = {u.name: factors.get(u.name, 0.4) * u.careful for u in UNKNOWNS}
+        changes = tuple(Change(u, 0.0, sigmas[u.name]) for u in UNKNOWNS)
+        return ", ".join(verdict._not_shown(changes))
+
+    assert hidden() == ""
+    assert hidden(mount_x=2.0) == "the roll of the DVL (sigma 2 deg)"
+    assert hidden(mount_y=0.7) == "its pitch (sigma 0.7 deg)"
+    assert hidden(lever_arm_x=1.0, lever_arm_z=3.0) == "its lever arm (sigma 0.3 m)"
+    assert hidden(time_offset=6.0) == "its time offset (sigma 0.12 s)"
+    assert hidden(scale=0.6) == "its scale (sigma 0.6 %)"
 
 
 def test_refusals_by_name_are_told_with_their_remedy() -> None:
@@ -304,6 +341,8 @@ def test_the_line_names_what_is_wrong_and_what_to_set(case: str, seed: int) -> N
     kind = "TOO CAUTIOUS" if case.endswith("too large") else "NOT RIGHT"
     assert found.judgement.startswith(kind), found.judgement
     assert re.search(expected, found.judgement), found.judgement
+    if case in ("knots", "deg/s", "IMU axes", "DVL axes"):
+        assert {finding.name for finding in found.findings} <= {"axes", "refused"}
 
 
 @pytest.mark.long

@@ -47,11 +47,11 @@ class Unknown:
 
 
 _TURNS = ("mount_x", "mount_y", "mount_z")
-_ARMS = ("lever_arm_x", "lever_arm_y", "lever_arm_z")
+ARMS = ("lever_arm_x", "lever_arm_y", "lever_arm_z")
 #: Turns about the axes of base_link [rad], lever arm [m], time offset [s], relative scale.
 UNKNOWNS = (
     *(Unknown(name, math.radians(1.0), math.radians(0.2)) for name in _TURNS),
-    *(Unknown(name, 0.1, 0.02) for name in _ARMS),
+    *(Unknown(name, 0.1, 0.02) for name in ARMS),
     Unknown("time_offset", 0.02, 0.005),
     Unknown("scale", 0.01, 0.002),
 )
@@ -102,9 +102,9 @@ def told_otherwise(
         turned = Rotation.from_rotvec(vector).as_matrix() @ rotation_from_rpy(np.array(dvl.mount))
         mount = tuple(rpy_from_rotation(turned).tolist())
         return replace(parameters, dvl=replace(dvl, mount=mount)), events
-    if unknown.name in _ARMS:
+    if unknown.name in ARMS:
         arm = list(dvl.lever_arm)
-        arm[_ARMS.index(unknown.name)] += change
+        arm[ARMS.index(unknown.name)] += change
         return replace(parameters, dvl=replace(dvl, lever_arm=tuple(arm))), events
     if unknown.name == "time_offset":
         later_ns = round(change * NS)

@@ -22,7 +22,7 @@ from insdvl.navigation.odometry import odometry
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.studies.evaluation.metrics import path_length
 from insdvl.studies.judgement.innovations import FEWEST, SIGMAS, statistics
-from insdvl.studies.judgement.mounting import MOST, Change, mounting, told_otherwise
+from insdvl.studies.judgement.mounting import ARMS, MOST, Change, mounting, told_otherwise
 from insdvl.studies.judgement.noise import DvlNoise, dvl_noise, imu_variances
 from insdvl.studies.judgement.withheld import WINDOWS, Withheld, predictions
 from insdvl.studies.replay.fold import Replayed
@@ -95,7 +95,8 @@ def verdict(replayed: Replayed, parameters: FilterParameters, document: dict[str
         if u.report.measurement == Dvl.name and u.report.corrected
     }
     noise = dvl_noise(replayed.taken, filter_, replayed.ping_noise)
-    # Axes or units that are wrong make the rest meaningless, and its computation long.
+    # Axes or units that are wrong make the rest meaningless, and its computation long; what they
+    # do to noise, gate and biases would be called the fault of these.
     mount = None if replayed.findings else mounting(replayed.taken, parameters, used)
     part = replayed.taken.first(MOST)
     withheld = [
@@ -104,18 +105,17 @@ def verdict(replayed: Replayed, parameters: FilterParameters, document: dict[str
         if not replayed.findings and (found := predictions(part, parameters, used, seconds))
     ]
     imu = imu_variances(part)
-    findings = [
-        *_of_axes(replayed),
-        *_of_start(document),
-        *_of_claims(document, filter_),
-        *_of_dvl_noise(noise, parameters),
-        *_of_mount(mount, parameters),
-        *_of_gate(document, innovations, filter_),
-        *_of_prediction(innovations, noise, withheld, parameters, imu),
-        *_of_biases(document),
-        *_of_whiteness(innovations, parameters),
-        *_of_reference(document),
-    ]
+    findings = [*_of_axes(replayed), *_of_start(document), *_of_claims(document, filter_)]
+    if not replayed.findings:
+        findings += [
+            *_of_dvl_noise(noise, parameters),
+            *_of_mount(mount, parameters),
+            *_of_gate(document, innovations, filter_),
+            *_of_prediction(innovations, noise, withheld, parameters, imu),
+            *_of_biases(document),
+            *_of_whiteness(innovations, parameters),
+            *_of_reference(document),
+        ]
     numbers = {
         "innovations": innovations,
         "refused_share": _refused_share(document),
@@ -139,30 +139,34 @@ def _judgement(
 ) -> str:
     if findings:
         more = f" ({len(findings) - 1} more above)" if len(findings) > 1 else ""
-        kind = "TOO CAUTIOUS" if all(finding.cautious for finding in findings) else "NOT RIGHT"
-        return f"{kind}: {findings[0].sentence}{more}"
+        wrong = [finding for finding in findings if not finding.cautious]
+        kind = "NOT RIGHT" if wrong else "TOO CAUTIOUS"
+        return f"{kind}: {(wrong or findings)[0].sentence}{more}"
     if innovations is None:
         accepted = document["dvl_accepted"]
         return f"CANNOT TELL: only {accepted} DVL measurements were used, {FEWEST} are needed"
     text = "FITS: nothing in the innovations contradicts the configuration"
     if hidden := ", ".join(_not_shown(mount)):
-        text += f"; not seen by this motion: {hidden}; turns and changes of speed show it"
+        text += f"; not seen by this motion: {hidden}; turns, dives and changes of speed show it"
     return text
 
 
 def _not_shown(mount: Mount | None) -> Iterator[str]:
-    """What the motion shows less well than it is set with care, with its sigma."""
+    """What could be off by twice what care allows and be no finding, with its sigma."""
     if mount is None:
         return
     by_name = {change.unknown.name: change for change in mount}
-    for name, shown, scale, unit in (
-        ("mount_z", "the yaw of the DVL", math.degrees(1.0), "deg"),
-        ("time_offset", "its time offset", 1.0, "s"),
-        ("scale", "its scale", 100.0, "%"),
+    for names, shown, scale, unit in (
+        (("mount_x",), "the roll of the DVL", math.degrees(1.0), "deg"),
+        (("mount_y",), "its pitch", math.degrees(1.0), "deg"),
+        (("mount_z",), "its yaw", math.degrees(1.0), "deg"),
+        (ARMS, "its lever arm", 1.0, "m"),
+        (("time_offset",), "its time offset", 1.0, "s"),
+        (("scale",), "its scale", 100.0, "%"),
     ):
-        change = by_name[name]
-        if change.sigma > change.unknown.careful:
-            yield f"{shown} (sigma {change.sigma * scale:.2g} {unit})"
+        worst = max((by_name[name] for name in names), key=lambda change: change.sigma)
+        if MOUNT_SIGMAS * worst.sigma > 2.0 * worst.unknown.careful:
+            yield f"{shown} (sigma {worst.sigma * scale:.2g} {unit})"
 
 
 # ---------------------------------------------------------------- the rules
@@ -282,6 +286,8 @@ def _of_dvl_noise(noise: DvlNoise | None, parameters: FilterParameters) -> Itera
     remedy = f"set dvl.noise_std to {value} m/s"
     if noise.by_messages:
         remedy += ", and dvl.covariance to 'parameters': the messages tell another one"
+    if ratio > 1.0:
+        remedy += " or somewhat more: errors that last longer than seconds are not in it"
     yield Finding(
         "dvl_noise",
         f"the noise of the DVL is told {by}: sigma {noise.told:.2g} m/s, and the recording shows "
@@ -327,19 +333,30 @@ def _of_prediction(
     else:
         return
     if source == "constant":
-        told = (
-            parameters.process_noise.accelerometer_variance,
-            parameters.process_noise.gyroscope_variance,
-        )
         remedy = (
-            f"{'raise' if large else 'lower'} process_noise.accelerometer_variance (told "
-            f"{np.mean(told[0]):.2g}, differences of the samples show {imu[0]:.2g}) and "
-            f"gyroscope_variance (told {np.mean(told[1]):.2g}, shown {imu[1]:.2g}), or set "
-            "process_noise.source to 'external'"
+            f"{_variances(parameters, imu, large=large)}, or set process_noise.source to 'external'"
         )
     else:
         remedy = f"compare with process_noise.source 'constant'; it is {source!r}"
     yield Finding("prediction", text, remedy, cautious=not large)
+
+
+def _variances(parameters: FilterParameters, imu: tuple[float, float], *, large: bool) -> str:
+    """Which variances to raise, or to lower: those that the samples do not contradict, if any."""
+    noise = parameters.process_noise
+    both = [
+        (name, float(np.mean(told)), shown)
+        for name, told, shown in (
+            ("accelerometer_variance", noise.accelerometer_variance, imu[0]),
+            ("gyroscope_variance", noise.gyroscope_variance, imu[1]),
+        )
+    ]
+    named = [one for one in both if (one[1] < one[2]) == large] or both
+    texts = [
+        f"process_noise.{name} (told {told:.2g}, differences of the samples show {shown:.2g})"
+        for name, told, shown in named
+    ]
+    return f"{'raise' if large else 'lower'} {' and '.join(texts)}"
 
 
 def _of_biases(document: dict[str, Any]) -> Iterator[Finding]:
