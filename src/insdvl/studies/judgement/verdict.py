@@ -113,7 +113,7 @@ def verdict(replayed: Replayed, parameters: FilterParameters, document: dict[str
             *_of_gate(document, innovations, filter_),
             *_of_prediction(innovations, noise, withheld, parameters, imu),
             *_of_biases(document),
-            *_of_whiteness(innovations, parameters),
+            *_of_whiteness(innovations, noise, parameters),
             *_of_reference(document),
         ]
     numbers = {
@@ -367,12 +367,13 @@ def _of_biases(document: dict[str, Any]) -> Iterator[Finding]:
 
 
 def _of_whiteness(
-    innovations: dict[str, Any] | None, parameters: FilterParameters
+    innovations: dict[str, Any] | None, noise: DvlNoise | None, parameters: FilterParameters
 ) -> Iterator[Finding]:
+    """Correlation and mean; a noise that is told wrongly correlates the innovations by itself."""
     if innovations is None:
         return
     rho, bound = innovations["autocorrelation"], innovations["autocorrelation_bound"]
-    if abs(rho) > max(bound, CORRELATED):
+    if abs(rho) > max(bound, CORRELATED) and not any(_of_dvl_noise(noise, parameters)):
         yield Finding(
             "correlated",
             f"neighbouring innovations are correlated by {rho:+.2f} and should be white",
