@@ -78,6 +78,10 @@ class Change:
         return abs(self.value) / self.sigma
 
 
+#: What `mounting` gives.
+Mount = tuple[Change, ...]
+
+
 def told_otherwise(
     parameters: FilterParameters,
     events: Sequence[Event],

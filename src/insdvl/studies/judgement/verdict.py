@@ -13,17 +13,21 @@ from typing import Any
 
 import numpy as np
 
-from insdvl.arrays import Array
 from insdvl.files import finite
-from insdvl.navigation.error_state import ATTITUDE
 from insdvl.navigation.filter import Filter
 from insdvl.navigation.measurements.dvl import Dvl
-from insdvl.navigation.odometry import odometry
 from insdvl.navigation.parameters import FilterParameters
-from insdvl.studies.evaluation.metrics import path_length
 from insdvl.studies.judgement.innovations import FEWEST, SIGMAS, statistics
-from insdvl.studies.judgement.mounting import ARMS, MOST, Change, mounting, told_otherwise
+from insdvl.studies.judgement.mounting import ARMS, MOST, Change, Mount, mounting, told_otherwise
 from insdvl.studies.judgement.noise import DvlNoise, dvl_noise, imu_variances
+from insdvl.studies.judgement.numbers import (
+    biases,
+    changes,
+    judged_count,
+    position,
+    refusals,
+    refused_share,
+)
 from insdvl.studies.judgement.withheld import WINDOWS, Withheld, predictions
 from insdvl.studies.replay.fold import Replayed
 
@@ -35,10 +39,6 @@ MOUNT_SIGMAS = 4.0
 REFUSED = 0.02
 #: Correlation of neighbours, and mean innovation in its sigmas, beyond which they matter.
 CORRELATED, OFFSET = 0.2, 0.2
-
-
-#: What `mounting` gives.
-Mount = tuple[Change, ...]
 
 
 @dataclass(frozen=True)
@@ -118,12 +118,12 @@ def verdict(replayed: Replayed, parameters: FilterParameters, document: dict[str
         ]
     numbers = {
         "innovations": innovations,
-        "refused_share": _refused_share(document),
-        "biases": _biases(filter_, replayed),
-        "position": _position(replayed),
+        "refused_share": refused_share(document),
+        "biases": biases(filter_, replayed),
+        "position": position(replayed),
         "dvl_noise": asdict(noise) if noise else None,
         "imu_variance_by_differences": imu,
-        "mounting": _of_changes(mount),
+        "mounting": changes(mount),
         "withheld": [asdict(w) for w in withheld],
         "findings": [asdict(finding) for finding in findings],
     }
@@ -189,7 +189,7 @@ def _of_claims(document: dict[str, Any], filter_: Filter) -> Iterator[Finding]:
     """What is refused by name: no lock, repeated, too fast, late, of another frame."""
     reasons = refusals(document)
     reasons.pop("gate", None)
-    if not reasons or reasons.total() < REFUSED * _count(document):
+    if not reasons or reasons.total() < REFUSED * judged_count(document):
         return
     reason, _ = reasons.most_common(1)[0]
     remedy = filter_.parameters.dvl.REMEDIES.get(
@@ -203,7 +203,7 @@ def _of_gate(
     document: dict[str, Any], innovations: dict[str, Any] | None, filter_: Filter
 ) -> Iterator[Finding]:
     """The gate refuses one good measurement in a thousand (gate.probability)."""
-    count, refused = _count(document), refusals(document)["gate"]
+    count, refused = judged_count(document), refusals(document)["gate"]
     expected = (1.0 - filter_.parameters.gate.probability) * count
     if refused <= max(expected + SIGMAS * math.sqrt(expected) + 1.0, REFUSED * count):
         return
@@ -217,20 +217,9 @@ def _of_gate(
     yield Finding("gate", _share(Counter(gate=refused), document), remedy)
 
 
-def refusals(document: dict[str, Any]) -> Counter[str]:
-    """Refused measurements of the DVL by reason; before the start there is nothing to refuse."""
-    reasons = Counter(document["dvl_rejected_by_reason"])
-    reasons.pop("not_initialised", None)
-    return reasons
-
-
-def _count(document: dict[str, Any]) -> int:
-    return int(refusals(document).total() + document["dvl_accepted"])
-
-
 def _share(reasons: Counter[str], document: dict[str, Any]) -> str:
     names = ", ".join(f"{name} {n}" for name, n in reasons.most_common(3))
-    share = 100.0 * reasons.total() / _count(document)
+    share = 100.0 * reasons.total() / judged_count(document)
     return f"{share:.0f} % of the DVL was refused ({names})"
 
 
@@ -404,60 +393,6 @@ def _of_reference(document: dict[str, Any]) -> Iterator[Finding]:
             "3 sigma",
             "check the reference's axes and stamps, then the noise of IMU and DVL",
         )
-
-
-# ---------------------------------------------------------------- numbers
-
-
-def _refused_share(document: dict[str, Any]) -> float | None:
-    count = _count(document)
-    return refusals(document).total() / count if count else None
-
-
-def _biases(filter_: Filter, replayed: Replayed) -> dict[str, Any] | None:
-    """The biases at the end over their initial sigmas, in IMU axes of the stream."""
-    if not replayed.initialised.size:
-        return None
-    nav, vehicle = replayed.fold.states[-1]["nav"], filter_.vehicle
-    to_imu, initial = vehicle.axes.body @ vehicle.C_b_i.T, filter_.parameters.initial
-    found = {}
-    for name, estimate in (("accelerometer", nav["b_f"]), ("gyroscope", nav["b_w"])):
-        values = to_imu @ estimate
-        std = getattr(initial, f"{name}_bias_std")
-        off: Array = values - np.array(getattr(initial, f"{name}_bias"))
-        found[name] = {
-            "value": values.tolist(),
-            "in_initial_sigmas": (off / std).tolist() if std else None,
-        }
-    return found
-
-
-def _position(replayed: Replayed) -> dict[str, Any] | None:
-    """Where it ended, how far it went, and what is known of that."""
-    known = replayed.initialised
-    if not known.size:
-        return None
-    fold = replayed.fold
-    end = odometry(fold.filter, fold.states, int(known[-1]))
-    states = fold.states[known[:: max(1, len(known) // 5000)]]
-    path = np.array([odometry(fold.filter, states, k).position for k in range(len(states))])
-    P = end.pose_covariance
-    down = fold.filter.vehicle.axes.nav[2, 2]
-    heading = fold.states[known[-1]]["nav"]["P"][ATTITUDE.stop - 1, ATTITUDE.stop - 1]
-    return {
-        "distance": path_length(path),
-        "horizontal": end.position[:2].tolist(),
-        "horizontal_sigma": math.sqrt(float(np.linalg.eigvalsh(P[:2, :2])[-1])),
-        "depth_below_origin": float(down * end.position[2]),
-        "depth_sigma": math.sqrt(float(P[2, 2])),
-        "heading_sigma_deg": math.degrees(math.sqrt(float(heading))),
-    }
-
-
-def _of_changes(mount: Mount | None) -> dict[str, Any] | None:
-    if mount is None:
-        return None
-    return {c.unknown.name: {"change": c.value, "sigma": c.sigma} for c in mount}
 
 
 def _list(values: Any, digits: int) -> str:

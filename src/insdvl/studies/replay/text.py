@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import Any
 
-from insdvl.studies.judgement.verdict import refusals
+from insdvl.studies.judgement.numbers import refusals
 
 _ROWS = (
     ("velocity RMSE, navigation axes", "velocity_rmse", "m/s"),

@@ -1,0 +1,80 @@
+"""The numbers of a verdict: what was refused, biases, position, and the mount that fits."""
+
+import math
+from collections import Counter
+from typing import Any
+
+import numpy as np
+
+from insdvl.arrays import Array
+from insdvl.navigation.error_state import ATTITUDE
+from insdvl.navigation.filter import Filter
+from insdvl.navigation.odometry import odometry
+from insdvl.studies.evaluation.metrics import path_length
+from insdvl.studies.judgement.mounting import Mount
+from insdvl.studies.replay.fold import Replayed
+
+
+def refusals(document: dict[str, Any]) -> Counter[str]:
+    """Refused measurements of the DVL by reason; before the start there is nothing to refuse."""
+    reasons = Counter(document["dvl_rejected_by_reason"])
+    reasons.pop("not_initialised", None)
+    return reasons
+
+
+def judged_count(document: dict[str, Any]) -> int:
+    """Number of measurements of the DVL that the filter could judge."""
+    return int(refusals(document).total() + document["dvl_accepted"])
+
+
+def refused_share(document: dict[str, Any]) -> float | None:
+    """Share of those that were refused."""
+    count = judged_count(document)
+    return refusals(document).total() / count if count else None
+
+
+def biases(filter_: Filter, replayed: Replayed) -> dict[str, Any] | None:
+    """The biases at the end over their initial sigmas, in IMU axes of the stream."""
+    if not replayed.initialised.size:
+        return None
+    nav, vehicle = replayed.fold.states[-1]["nav"], filter_.vehicle
+    to_imu, initial = vehicle.axes.body @ vehicle.C_b_i.T, filter_.parameters.initial
+    found = {}
+    for name, estimate in (("accelerometer", nav["b_f"]), ("gyroscope", nav["b_w"])):
+        values = to_imu @ estimate
+        std = getattr(initial, f"{name}_bias_std")
+        off: Array = values - np.array(getattr(initial, f"{name}_bias"))
+        found[name] = {
+            "value": values.tolist(),
+            "in_initial_sigmas": (off / std).tolist() if std else None,
+        }
+    return found
+
+
+def position(replayed: Replayed) -> dict[str, Any] | None:
+    """Where it ended, how far it went, and what is known of that."""
+    known = replayed.initialised
+    if not known.size:
+        return None
+    fold = replayed.fold
+    end = odometry(fold.filter, fold.states, int(known[-1]))
+    states = fold.states[known[:: max(1, len(known) // 5000)]]
+    path = np.array([odometry(fold.filter, states, k).position for k in range(len(states))])
+    P = end.pose_covariance
+    down = fold.filter.vehicle.axes.nav[2, 2]
+    heading = fold.states[known[-1]]["nav"]["P"][ATTITUDE.stop - 1, ATTITUDE.stop - 1]
+    return {
+        "distance": path_length(path),
+        "horizontal": end.position[:2].tolist(),
+        "horizontal_sigma": math.sqrt(float(np.linalg.eigvalsh(P[:2, :2])[-1])),
+        "depth_below_origin": float(down * end.position[2]),
+        "depth_sigma": math.sqrt(float(P[2, 2])),
+        "heading_sigma_deg": math.degrees(math.sqrt(float(heading))),
+    }
+
+
+def changes(mount: Mount | None) -> dict[str, Any] | None:
+    """What the innovations say of mount, lever arm, time offset and scale."""
+    if mount is None:
+        return None
+    return {c.unknown.name: {"change": c.value, "sigma": c.sigma} for c in mount}
