@@ -158,9 +158,8 @@ def test_refuses_to_start_beside_another_publisher(peer: Graph, tmp_path: Path) 
     peer.until(lambda: not NODES & peer.node_names())
 
 
-@pytest.mark.parametrize(
-    "kind", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)]
-)
+@pytest.mark.long
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
 def test_interrupted_it_leaves_no_process(
     peer: Graph, tmp_path: Path, kind: signal.Signals
 ) -> None:

@@ -225,7 +225,8 @@ def test_after_a_restart_the_surface_is_known_still() -> None:
 # ------------------------------------------------------------------ in the filter
 
 
-@pytest.mark.parametrize("surface_std", [0.0, pytest.param(10_000.0, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("surface_std", [0.0, 10_000.0])
 def test_the_vertical_channel_is_consistent(surface_std: float) -> None:
     """NEES of vertical velocity and position, and of the surface, 60 runs; NIS of the depths."""
     settings = parameters(depth__surface_std=surface_std, gate__enabled=False)

@@ -396,7 +396,7 @@ def in_sigmas(result: FoldResult, m: Mission) -> np.ndarray:
     ("variances", "dvl_std", "direction"),
     [
         ([1e-6] * 3 + [1e-10] * 3, DVL_STD, [1.0, 0.0, 0.0]),
-        (VARIANCES, DVL_STD, [-0.6, 0.6, 0.53]),
+        pytest.param(VARIANCES, DVL_STD, [-0.6, 0.6, 0.53], marks=pytest.mark.long),
         ([1e-2] * 3 + [1e-3] * 3, 0.1, [0.0, -0.7, 0.71]),
     ],
     ids=["navigation", "tactical", "poor"],

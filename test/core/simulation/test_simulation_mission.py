@@ -224,7 +224,9 @@ def test_mount_and_lever_arm_are_in_the_axes_of_the_stream():
     np.testing.assert_allclose(one.v_d @ ENU.body, expected, atol=1e-12)
 
 
-@pytest.mark.parametrize("profile", [*SCENARIOS, "coloured", "realistic"])
+@pytest.mark.parametrize(
+    "profile", [*SCENARIOS, "coloured", pytest.param("realistic", marks=pytest.mark.long)]
+)
 def test_scenarios_by_parameter(profile):
     mission = mission_of(
         build(SimulatorParameters, {"noise.profile": profile, "seed": 8, "duration": 50.0})
