@@ -76,7 +76,7 @@ done
 pins=$folder/constraints.txt
 if [ -n "${CORE-}" ]; then
     # By its own setup.py: what it declares is what it needs.
-    what="--no-build-isolation ./src[bags,dask,jobs,onnx,plot,test,train] pytest-xdist"
+    what="--no-build-isolation ./src[bags,dask,jobs,onnx,plot,report,test,train] pytest-xdist"
     size="the core with its packages go into $folder (once; about 700 MB"
 else
     what="--no-build-isolation --requirement requirements.txt"

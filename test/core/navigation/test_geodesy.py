@@ -81,8 +81,10 @@ def flown(trajectory, times):
 
     start = cartesian(trajectory.origin)
     span = (0.0, trajectory.duration)
+    # A first step of its own choice may look beyond the end of the trajectory.
+    steps = {"first_step": 1.0, "max_step": 60.0}
     solution = solve_ivp(
-        rate, span, start, method="DOP853", t_eval=times, rtol=1e-13, atol=1e-5, max_step=60.0
+        rate, span, start, method="DOP853", t_eval=times, rtol=1e-13, atol=1e-5, **steps
     )
     return solution.y.T
 

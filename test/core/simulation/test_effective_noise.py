@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
+from scipy.integrate import quad, trapezoid
 from scipy.linalg import solve_discrete_are
 
 from insdvl.simulation.drawn.effective import (
@@ -73,7 +73,7 @@ def test_mean_density_is_that_of_the_integral_over_a_time():
 
     slow = Spectrum(first_order=ALL.first_order)
     f = np.linspace(0.0, 50.0, 2_000_001)
-    expected = 2.0 * np.trapezoid(window(f) * first_order_density(slow.first_order, f), f)
+    expected = 2.0 * trapezoid(window(f) * first_order_density(slow.first_order, f), f)
     assert slow.mean_density(duration) == pytest.approx(expected, rel=1e-4)
     assert Spectrum(white=3.0).mean_density(duration) == 3.0
     assert Spectrum(lines=((2.0, 0.2),)).mean_density(duration) == pytest.approx(0.0, abs=1e-12)
