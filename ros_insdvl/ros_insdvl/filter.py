@@ -99,7 +99,18 @@ class FilterNode(InsdvlNode[FilterParameters]):
 
     def __init__(self, **options: Any) -> None:
         super().__init__("insdvl_filter", FilterParameters, **options)
-        parameters = self.parameters
+        try:
+            self._set_up(self.parameters)
+        except ParameterError:
+            self.destroy_node()
+            raise
+
+    def _set_up(self, parameters: FilterParameters) -> None:
+        """Make the filter, its publishers and its subscriptions.
+
+        Raises:
+            ParameterError: Parameters do not go with the topics, or a message type is missing.
+        """
         self._check_topics()
         with self.compiling():
             compile_fold(parameters)
