@@ -105,7 +105,7 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
             example="--scenario varying --json varying.json",
             **_COMPUTES,
         ),
-        "results": _study("results", "recompute the results page", **_COMPUTES),
+        "results": _study("results", "recompute the pages of results", **_COMPUTES),
         "consistency": _study(
             "consistency",
             "recompute the page on consistency: is the filter as good as it says?",
