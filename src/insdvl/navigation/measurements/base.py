@@ -102,11 +102,13 @@ class Past:
 
     Attributes:
         readings: (k, m) the last ones that no claim of their own has refused, the newest first.
+        equal: How many of them the measurement repeats.
         repeats: How many readings in a row before the measurement were equal to it.
         contradicted: Whether the gate has rejected the measurement before it.
     """
 
     readings: Array
+    equal: int
     repeats: int
     contradicted: bool
 

@@ -5,12 +5,14 @@ publishers send the same. But a sensor with a coarse resolution repeats itself b
 are told apart by the probability of the chance (docs/explanation/filter.md, "Repeats").
 """
 
+import math
 from math import comb, pi, sqrt
 from typing import Any
 
 import numpy as np
 
 from insdvl.arrays import Array
+from insdvl.kernels import kernel
 from insdvl.navigation.events import Measurement
 from insdvl.navigation.measurements.base import Past, SensorModel
 from insdvl.navigation.state import NEVER, State
@@ -33,18 +35,56 @@ def refusal(memory: State, model: SensorModel[Any], event: Measurement) -> str:
         model: Of its sensor.
         event: The measurement.
     """
-    reading = model.reading(event)
+    reading = np.array(model.reading(event))
     m, readings = len(reading), memory["readings"]
-    known = readings[:, :m][np.isfinite(readings[:, 0])]
-    again = len(known) > 0 and bool((known[0] == reading).all())
+    again = equals(readings[0, :m], reading)
     repeats = int(memory["repeats"]) + 1 if again else 0
-    reason = model.refusal(event, Past(known, repeats, memory["rejected_from_ns"] != NEVER))
+    known = readings[: _known(readings), :m].copy()
+    equal = _repetitions(known, reading)
+    past = Past(known, equal, repeats, memory["rejected_from_ns"] != NEVER)
+    reason = model.refusal(event, past)
     if not reason:
-        readings[1:] = readings[:-1].copy()
-        readings[0, :m] = reading
+        _remember(readings, reading)
     if again or not reason:
         memory["repeats"] = repeats
     return reason
+
+
+@kernel
+def equals(a: Array, b: Array) -> bool:
+    """Whether two readings (m,) are exactly equal; one that is not known, nan, equals none."""
+    others = 0
+    for i in range(len(b)):
+        others += a[i] != b[i]
+    return others == 0
+
+
+@kernel
+def _known(readings: Array) -> int:
+    """How many readings, the newest first, are known."""
+    count = 0
+    while count < len(readings) and math.isfinite(readings[count, 0]):
+        count += 1
+    return count
+
+
+@kernel
+def _remember(readings: Array, reading: Array) -> None:
+    """Put a reading before the others; the last one is forgotten."""
+    for k in range(len(readings) - 1, 0, -1):
+        readings[k] = readings[k - 1]
+    for i in range(len(reading)):
+        readings[0, i] = reading[i]
+
+
+@kernel
+def _repetitions(readings: Array, reading: Array) -> int:
+    """How many of the readings (k, m) a reading repeats."""
+    count = 0
+    for k in range(len(readings)):
+        if equals(readings[k], reading):
+            count += 1
+    return count
 
 
 def is_frozen(past: Past, least: int) -> bool:
@@ -84,10 +124,10 @@ def repeat_chance(reading: Array, readings: Array, sigma: Array) -> float:
     Returns:
         1 where it repeats none.
     """
-    same = (readings == reading).all(axis=1)
-    equal = int(np.count_nonzero(same))
+    equal = _repetitions(readings, reading)
     if equal == 0:
         return 1.0
+    same = (readings == reading).all(axis=1)
     if len(readings) > _STEPS:
         run = equal if same.all() else int(np.argmin(same))
         steps = np.diff(readings[max(run - 1, 0) :], axis=0)  # without the repetitions in question
