@@ -89,30 +89,30 @@ def inject(s: State, c: Constants, dx: Array) -> None:
         s.counters.beyond_latitude += 1
     # The errors of velocity, tilt and position are told in the axes of the estimated heading.
     for block in (_V, _A, _P):
-        turn_block(nav.P, block, heading)
+        turn_block(nav.P, block, heading, dx.shape[0])
     north, east = nav.bend_n[0], nav.bend_n[1]
     nav.bend_n[0] = heading[0, 0] * north + heading[0, 1] * east
     nav.bend_n[1] = heading[1, 0] * north + heading[1, 1] * east
 
 
 @kernel
-def turn_block(P: Array, block: int, R: Array) -> None:
-    """P (N, N) with the three states from ``block`` on in turned axes, R (3, 3), in place."""
+def turn_block(P: Array, block: int, R: Array, n: int) -> None:
+    """P (n, n) with the three states from ``block`` on in turned axes, R (3, 3), in place."""
     a, turned = np.empty(3), np.empty(3)
-    for j in range(P.shape[0]):
+    for j in range(n):
         for i in range(3):
             a[i] = P[block + i, j]
         rotate(turned, R, a)
         for i in range(3):
             P[block + i, j] = turned[i]
-    for i in range(P.shape[0]):
+    for i in range(n):
         for j in range(3):
             a[j] = P[i, block + j]
         rotate(turned, R, a)
         for j in range(3):
             P[i, block + j] = turned[j]
     for i in range(3):  # the sums of two mirrored elements are rounded in different orders
-        for j in range(P.shape[0]):
+        for j in range(n):
             P[j, block + i] = P[block + i, j]
 
 

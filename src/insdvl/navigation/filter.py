@@ -53,11 +53,18 @@ _HEADING = ATTITUDE.stop - 1
 
 
 @kernel
-def _shared(covariance: Array, of_sample: Array, share: Array) -> None:
-    """Covariance (3, 3) of a rate whose variance is ``share`` (3,) times that of one sample."""
+def _turn_noise(state: Records, constants: Records, share: Array, covariance: Array) -> bool:
+    """Covariance (3, 3) of a rate whose variance is ``share`` (3,) times that of one sample.
+
+    Returns:
+        Whether a channel of the IMU is in doubt.
+    """
+    s, c = state[0], constants[0]
     for i in range(3):
         for j in range(3):
-            covariance[i, j] = of_sample[i, j] * math.sqrt(share[i] * share[j])
+            of_sample = s.noise.Q_w[i, j] * (c.density * c.rate)
+            covariance[i, j] = of_sample * math.sqrt(share[i] * share[j])
+    return channels.any_unseen(s.channels.unseen_ns)
 
 
 class Filter:
@@ -266,7 +273,7 @@ class Filter:
         if stamp_ns - int(memory["judged_ns"]) < model.interval_ns:
             return None
         reason = claims.refusal(memory, model, event)
-        turn, linearised = self._turn(s, w_ib_b, share), None
+        turn, linearised = self._turn(state, w_ib_b, share), None
         if not s["nav"]["initialised"]:
             if not reason and (velocity := model.velocity(event, turn)) is not None:
                 self.start.hear_velocity(s, stamp_ns, *velocity)
@@ -324,12 +331,11 @@ class Filter:
             S = np.where(np.diag(~now.measured), np.inf, S)
         return UpdateReport(event.name, now.innovation, S, now.nis, accepted, reason)
 
-    def _turn(self, s: State, w_ib_b: Array, share: Array | float) -> Turn:
+    def _turn(self, state: Records, w_ib_b: Array, share: Array | float) -> Turn:
         """The turn rate at a measurement, and what is not known of it."""
         covariance, shares = np.empty((3, 3)), np.empty(3)
         shares[:] = share
-        _shared(covariance, sample_variance_w(s, self.vehicle), shares)
-        if channels.in_doubt(s):
-            w_ib_b, unseen = channels.seen_rate(s, self.constants[0], w_ib_b)
+        if _turn_noise(state, self.constants, shares, covariance):
+            w_ib_b, unseen = channels.seen_rate(state[0], self.constants[0], w_ib_b)
             covariance = covariance + unseen
         return Turn(w_ib_b, covariance)

@@ -7,6 +7,7 @@ What a measurement is, where it comes from and whether it is believed is decided
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,8 +33,7 @@ _V, _A, _DOWN = VELOCITY.start, ATTITUDE.start, 2
 _LEAST_PIVOT = 1e-10
 
 
-@dataclass(frozen=True)
-class Innovated:
+class Innovated(NamedTuple):
     """A measurement against the filter's prediction of it.
 
     Attributes:
@@ -205,6 +205,7 @@ def joseph(P: Array, P_0: Array, B: Array, K: Array, R: Array) -> None:
     """
     n, m = K.shape
     is_full, B_T, A = np.zeros(n, np.bool_), np.empty((n, n)), np.zeros((n, n))
+    row, of_R = np.empty(n), np.empty(m)
     for k in range(n):
         for i in range(n):
             B_T[k, i] = B[i, k]
@@ -217,7 +218,7 @@ def joseph(P: Array, P_0: Array, B: Array, K: Array, R: Array) -> None:
                 for j in range(n):
                     A[i, j] += b * P_0[k, j]
     for i in range(n):
-        row = np.zeros(n)
+        row[:] = 0.0
         for k in range(n):
             a = A[i, k]
             if is_full[k]:
@@ -225,11 +226,14 @@ def joseph(P: Array, P_0: Array, B: Array, K: Array, R: Array) -> None:
                     row[j] += a * B_T[k, j]
             else:
                 row[k] += a
+        for b in range(m):
+            of_R[b] = 0.0
+            for a in range(m):
+                of_R[b] += K[i, a] * R[a, b]
         for j in range(i + 1):
             total = row[j]
-            for a in range(m):
-                for b in range(m):
-                    total += K[i, a] * R[a, b] * K[j, b]
+            for b in range(m):
+                total += of_R[b] * K[j, b]
             P[i, j] = total
             P[j, i] = total
 
@@ -270,7 +274,7 @@ def _correct(
         for i in range(3):
             dv[i] = dx[_V + i] - mean[i]
         rotate(dx[_V : _V + 3], turn, dv)
-        coordinates.turn_block(P, _V, turn)
+        coordinates.turn_block(P, _V, turn, n)
     _inject(state, constants, dx)
 
 
@@ -376,10 +380,10 @@ def _of_products(P: Array, j: int, k: int, m: int, n: int) -> float:
 
 @kernel
 def _product_counts(
-    P: Array, H: Array, R: Array, least: float, mean: Array, covariance: Array
+    state: Records, H: Array, R: Array, least: float, mean: Array, covariance: Array
 ) -> bool:
     """Whether t x dv counts from a part of R on; its moments, see `_product_moments`."""
-    _product_moments(P, mean, covariance)
+    _product_moments(state[0].nav.P, mean, covariance)
     of_product, of_noise = 0.0, 0.0
     for a in range(H.shape[0]):
         of_noise += R[a, a] if is_measured(H, a) else 0.0
@@ -397,11 +401,12 @@ def _correct_body_velocity(
     With dv = R_t dv' the measurement tells dv' whatever tilt and heading are, and
     dv' = dv - t x dv to second order: its covariance is that of dv and of the product.
     """
-    H, R, P = prior.H, prior.R, state["nav"]["P"][0]
+    H, R = prior.H, prior.R
     mean, covariance = np.empty(3), np.empty((3, 3))
     K, innovation, product = prior.K, prior.innovation, False
-    if _product_counts(P, H, R, _PRODUCT, mean, covariance):
-        H_v, before = H[:, VELOCITY], P[VELOCITY, VELOCITY].copy()
+    if _product_counts(state, H, R, _PRODUCT, mean, covariance):
+        H_v, P = H[:, VELOCITY], state["nav"]["P"][0]
+        before = P[VELOCITY, VELOCITY].copy()
         P[VELOCITY, VELOCITY] += covariance
         now = innovate(P, innovation + H_v @ mean, H, R)
         if np.isfinite(now.nis):

@@ -16,6 +16,7 @@ each of them has taken from P. Derivation: docs/explanation/map-odom.md.
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,8 +40,7 @@ _HEADING = ATTITUDE.stop - 1
 _DOWN = np.array([0.0, 0.0, 1.0])
 
 
-@dataclass(frozen=True)
-class Before:
+class Before(NamedTuple):
     """The estimate before an update.
 
     Attributes:

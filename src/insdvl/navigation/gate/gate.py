@@ -83,16 +83,13 @@ class Gate:
             The measurement against its prediction, with the error that the sensor may have in R,
             and whether it is used; otherwise, with a NIS that is finite, `judge` decides.
         """
-        memory = state["gate"][self._name]
-        g, R, H = memory[0], linearised.R, linearised.H
-        if _is_doubted(g, stamp_ns):
-            R = R + g["doubt"] ** 2 * np.eye(len(R))
-        S, K, constants = np.empty(R.shape), np.empty(H.shape[::-1]), self._vehicle.constants
-        z = linearised.z_minus_h
+        memory, constants = state["gate"][self._name], self._vehicle.constants
+        z_minus_h, H, own = linearised
+        R, S, K = np.empty(own.shape), np.empty(own.shape), np.empty(H.shape[::-1])
         nis, rows, used = ordinary.is_ordinary(
-            state, memory, constants, stamp_ns, z, H, R, self._limits, S, K
+            state, memory, constants, stamp_ns, z_minus_h, H, own, self._limits, R, S, K
         )
-        return Innovated(z, H, R, S, K, nis, rows), used
+        return Innovated(z_minus_h, H, R, S, K, nis, rows), used
 
     def judge(
         self, state: Records, stamp_ns: int, now: Innovated, R: Array

@@ -58,8 +58,9 @@ def is_ordinary(
     stamp_ns: int,
     innovation: Array,
     H: Array,
-    R: Array,
+    own: Array,
     limits: Array,
+    R: Array,
     S: Array,
     K: Array,
 ) -> tuple[float, int, bool]:
@@ -72,8 +73,9 @@ def is_ordinary(
         stamp_ns: Of the measurement.
         innovation: (m,) of the measurement.
         H: (m, n) Jacobian.
-        R: (m, m) covariance of the noise, with the error that the sensor may have.
+        own: (m, m) covariance of its noise.
         limits: (m + 1,) of the NIS, by the number of rows that were measured.
+        R: (m, m) result, that covariance with the error that the sensor may have.
         S: (m, m) result, covariance of the innovation.
         K: (n, m) result, gain.
 
@@ -81,14 +83,17 @@ def is_ordinary(
         The NIS, the number of rows that were measured, and whether the measurement is ordinary.
     """
     s, g = state[0], memory[0]
+    doubted = is_doubted(g.doubt_from_ns, g.doubt_for, stamp_ns)
+    R[:] = own
+    if doubted:
+        for a in range(len(R)):
+            R[a, a] += g.doubt**2
     nis, rows = kalman.gain(s.nav.P, H, R, innovation, S, K), kalman.rows_of(H)
     if not np.isfinite(nis):
         return nis, rows, False
     shown.advance(s, constants[0], stamp_ns)
     unseen = any_unseen(s.channels.unseen_ns)
-    if is_doubted(g.doubt_from_ns, g.doubt_for, stamp_ns):
-        return nis, rows, False
-    if may_go_on(g.fault_ns, g.rejected_from_ns, g.patient_for, unseen, stamp_ns):
+    if doubted or may_go_on(g.fault_ns, g.rejected_from_ns, g.patient_for, unseen, stamp_ns):
         return nis, rows, False
     fair = nis
     if shown.has_excess(s.noise.excess):

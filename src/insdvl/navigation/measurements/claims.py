@@ -37,12 +37,10 @@ def refusal(memory: State, model: SensorModel[Any], event: Measurement) -> str:
     """
     reading = np.array(model.reading(event))
     m, readings = len(reading), memory["readings"]
-    again = equals(readings[0, :m], reading)
+    known, equal, again = _compare(readings, reading)
     repeats = int(memory["repeats"]) + 1 if again else 0
-    known = readings[: _known(readings), :m].copy()
-    equal = _repetitions(known, reading)
-    past = Past(known, equal, repeats, memory["rejected_from_ns"] != NEVER)
-    reason = model.refusal(event, past)
+    contradicted = int(memory["rejected_from_ns"]) != NEVER
+    reason = model.refusal(event, Past(readings[:known, :m], equal, repeats, contradicted))
     if not reason:
         _remember(readings, reading)
     if again or not reason:
@@ -51,21 +49,20 @@ def refusal(memory: State, model: SensorModel[Any], event: Measurement) -> str:
 
 
 @kernel
-def equals(a: Array, b: Array) -> bool:
-    """Whether two readings (m,) are exactly equal; one that is not known, nan, equals none."""
-    others = 0
-    for i in range(len(b)):
-        others += a[i] != b[i]
-    return others == 0
+def _compare(readings: Array, reading: Array) -> tuple[int, int, bool]:
+    """How many readings (k, m), the newest first, are known; how many equal this one; the newest.
 
-
-@kernel
-def _known(readings: Array) -> int:
-    """How many readings, the newest first, are known."""
-    count = 0
-    while count < len(readings) and math.isfinite(readings[count, 0]):
-        count += 1
-    return count
+    One that is not known, nan, equals none.
+    """
+    known, equal, again = 0, 0, False
+    for k in range(len(readings)):
+        others = 0
+        for i in range(len(reading)):
+            others += readings[k, i] != reading[i]
+        known += math.isfinite(readings[k, 0])
+        equal += others == 0
+        again = again or (k == 0 and others == 0)
+    return known, equal, again
 
 
 @kernel
@@ -75,16 +72,6 @@ def _remember(readings: Array, reading: Array) -> None:
         readings[k] = readings[k - 1]
     for i in range(len(reading)):
         readings[0, i] = reading[i]
-
-
-@kernel
-def _repetitions(readings: Array, reading: Array) -> int:
-    """How many of the readings (k, m) a reading repeats."""
-    count = 0
-    for k in range(len(readings)):
-        if equals(readings[k], reading):
-            count += 1
-    return count
 
 
 def is_frozen(past: Past, least: int) -> bool:
@@ -124,10 +111,10 @@ def repeat_chance(reading: Array, readings: Array, sigma: Array) -> float:
     Returns:
         1 where it repeats none.
     """
-    equal = _repetitions(readings, reading)
+    same = (readings == reading).all(axis=1)
+    equal = int(np.count_nonzero(same))
     if equal == 0:
         return 1.0
-    same = (readings == reading).all(axis=1)
     if len(readings) > _STEPS:
         run = equal if same.all() else int(np.argmin(same))
         steps = np.diff(readings[max(run - 1, 0) :], axis=0)  # without the repetitions in question
