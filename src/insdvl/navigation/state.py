@@ -278,6 +278,10 @@ class Layout:
 
     def empty(self) -> Records:
         """One record, in an array of length 1, of a filter to which nothing has happened."""
+        return copied(self._empty)
+
+    @cached_property
+    def _empty(self) -> Records:
         states = np.zeros(1, self.dtype)
         for path, field in self.fields():
             group = part(states[0], path)
