@@ -184,8 +184,10 @@ def discretise(w: Workspace, c: Constants, dt: float) -> None:
         Phi[i, i] = 1.0
     for i in range(CORE, c.n):
         Phi[i, i] = np.exp(-c.decay[i - CORE] * dt)
-    for i in range(CORE):
-        for j in range(_P):
+    for j in range(_P):  # the columns of the biases are not needed
+        for i in range(_F):
+            Phi_T[j, i] = Phi[i, j]
+        for i in range(_P, CORE):
             Phi_T[j, i] = Phi[i, j]
 
 
@@ -194,7 +196,7 @@ def _transition_row(w: Workspace, i: int, dt: float) -> None:
     """Row i of F dt + (F dt)^2 / 2; only the velocity and attitude rows of F enter its square."""
     F, Phi = w.F, w.Phi
     f_0, f_1, f_2, f_3, f_4, f_5 = F[i, 0], F[i, 1], F[i, 2], F[i, 3], F[i, 4], F[i, 5]
-    for j in range(_P):
+    for j in range(PADDED):
         square = (
             f_0 * F[0, j]
             + f_1 * F[1, j]
@@ -263,13 +265,13 @@ def propagate(P: Array, w: Workspace, n: int) -> None:
     """
     A, B, Q_d = w.A, w.B, w.Q_d
     for i in range(CORE):
-        for j in range(CORE):
+        for j in range(PADDED):
             B[i, j] = P[i, j] + 0.5 * Q_d[i, j]
     for i in range(_F):
         _row_of_first(w, i)
     for i in range(_P, CORE):
         _row_of_first(w, i)
-        for j in range(CORE):
+        for j in range(PADDED):
             A[i, j] += B[i, j]
 
     if n > CORE:

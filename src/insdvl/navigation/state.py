@@ -278,6 +278,10 @@ class Layout:
 
     def empty(self) -> Records:
         """One record, in an array of length 1, of a filter to which nothing has happened."""
+        return copied(self._empty)
+
+    @cached_property
+    def _empty(self) -> Records:
         states = np.zeros(1, self.dtype)
         for path, field in self.fields():
             group = part(states[0], path)
@@ -388,6 +392,7 @@ def constants_type(n: int) -> np.dtype[np.void]:
 @cache
 def workspace_type(n: int) -> np.dtype[np.void]:
     """Type of the scratch record: what a step leaves for the Jacobians, and their results."""
+    wide = -(-n // 8) * 8  # rows of whole cache lines
     return np.dtype(
         [
             # Of the last mechanisation step, at its middle
@@ -438,12 +443,12 @@ def workspace_type(n: int) -> np.dtype[np.void]:
             ("a_x", "f8", (3, 3)),
             ("block", "f8", (3, 3)),
             # Error dynamics and discretisation
-            ("F", "f8", (n, n)),
-            ("Phi", "f8", (n, n)),
-            ("Phi_T", "f8", (n, n)),
-            ("Q_d", "f8", (n, n)),
-            ("A", "f8", (n, n)),  # Phi B
-            ("B", "f8", (n, n)),  # P + Q_d / 2
+            ("F", "f8", (n, wide)),
+            ("Phi", "f8", (n, wide)),
+            ("Phi_T", "f8", (n, wide)),
+            ("Q_d", "f8", (n, wide)),
+            ("A", "f8", (n, wide)),  # Phi B
+            ("B", "f8", (n, wide)),  # P + Q_d / 2
         ],
         align=True,
     )

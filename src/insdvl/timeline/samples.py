@@ -165,7 +165,7 @@ class Samples:
 
     def index_of(self, stamp_ns: int) -> int:
         """Index of the first sample that is not before a stamp."""
-        return int(np.searchsorted(self.stamps_ns[: self.count], stamp_ns))
+        return int(self.stamps_ns[: self.count].searchsorted(stamp_ns))
 
     def turn_rate(
         self, state: Records, k: int, at_ns: int, window_ns: int, variance: Array
@@ -187,6 +187,11 @@ class Samples:
     def outdate(self, k: int) -> None:
         """The states from sample k on are not valid any more."""
         self.stale = min(self.stale, k)
+
+    def outdate_from(self, stamp_ns: int) -> None:
+        """The states from a stamp on are not valid any more."""
+        if self.stale and self.stamps_ns[self.stale - 1] >= stamp_ns:
+            self.outdate(self.index_of(stamp_ns))
 
     def window(self, state: Records, k: int, at_ns: int, length_ns: int) -> Array:
         """Samples (N, 6) that are believed of a time that ends at a stamp, see `turn_rate`.
