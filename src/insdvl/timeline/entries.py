@@ -45,7 +45,9 @@ class Entries:
             Whether there is another with its stamp and kind, and whether the list has changed.
         """
         entry = Entry((event.stamp_ns, event.kind, event.payload()), event)
-        at = bisect.bisect_left(self.ordered, (*entry.key[:2], b""), key=lambda e: e.key)
+        at = len(self.ordered)
+        if at and entry.key[:2] <= self.ordered[-1].key[:2]:  # most events are the newest
+            at = bisect.bisect_left(self.ordered, (*entry.key[:2], b""), key=lambda e: e.key)
         if at < len(self.ordered) and self.ordered[at].key[:2] == entry.key[:2]:
             kept = self.ordered[at]
             if entry.key >= kept.key:

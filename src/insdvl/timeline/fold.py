@@ -201,7 +201,7 @@ class Fold:
         if changed:
             if self._samples.count == 0 and not duplicate:
                 self._counts["given_up"] += self._entries.bound_waiting(event.kind)
-            self._samples.outdate(self._samples.index_of(event.stamp_ns))
+            self._samples.outdate_from(event.stamp_ns)
         return "duplicate" if duplicate else None
 
     def add_recording(

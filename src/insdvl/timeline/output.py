@@ -109,7 +109,7 @@ def split(entries: list[Entry], until_ns: int) -> tuple[list[Entry], list[Entry]
 
 def between(stamps_ns: Stamps, after_ns: int, until_ns: int) -> tuple[int, int]:
     """Indices first <= k < last of the stamps after one time and up to another."""
-    first, last = (int(np.searchsorted(stamps_ns, t, side="right")) for t in (after_ns, until_ns))
+    first, last = (int(stamps_ns.searchsorted(t, side="right")) for t in (after_ns, until_ns))
     return first, max(first, last)
 
 
