@@ -9,6 +9,7 @@
 # make soak         add an hour of mission to the soak there; ARGS="--hours 2"
 # make bench        time the filter against the same work in C and against other filters
 # make bench-check  fail where a ratio of them is 20 % worse than benchmarks/speed.json
+# make bench-scaling  measure how the cost grows, for docs/explanation/performance.md
 # make clean        remove what set-up and builds made
 #
 # Each sets up the environment when it runs first and rebuilds what changed.
@@ -25,7 +26,7 @@ PYTEST := pytest -n 2 --dist loadfile
 SOURCES := $(shell find src ros_insdvl ros_insdvl_sim models tools/build.sh \
 	-name __pycache__ -prune -o -name '*.egg-info' -prune -o -print)
 
-.PHONY: demo test test-all test-jazzy test-core bench bench-check results consistency faults soak clean
+.PHONY: demo test test-all test-jazzy test-core bench bench-check bench-scaling results consistency faults soak clean
 .DELETE_ON_ERROR:
 
 demo: .venv/.built
@@ -39,6 +40,9 @@ bench: .venv/.built
 
 bench-check: .venv/.built
 	.venv/bin/python benchmarks/speed.py --check benchmarks/speed.json $(ARGS)
+
+bench-scaling: .venv/.built
+	.venv/bin/python benchmarks/scaling.py $(ARGS)
 
 faults soak: .venv/.built
 	AMENT_PREFIX_PATH=$(CURDIR)/.venv .venv/lib/ros_insdvl_sim/$@ $(ARGS)

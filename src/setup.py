@@ -1,8 +1,13 @@
 """The `insdvl` package: the navigation core, without ROS."""
 
+import os
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 from setuptools import find_packages, setup
+from setuptools.command.install import install
 
 NAME = "insdvl"
 # insdvl/models is a link to the repository's models folder, whose files are installed as data.
@@ -10,7 +15,31 @@ MODELS = [
     str(model.relative_to(NAME)) for model in Path(NAME, "models").glob("*") if model.is_file()
 ]
 
+
+class Install(install):
+    """Where colcon installs, also compiles the functions of the filter, for this processor.
+
+    They are kept in the installed package. Whoever names another folder by INSDVL_CACHE_DIR fills
+    it with `insdvl warm`.
+    """
+
+    def run(self) -> None:
+        """Install, then compile."""
+        super().run()
+        if "COLCON" not in os.environ or "INSDVL_CACHE_DIR" in os.environ:
+            return
+        modules = Path(self.install_lib).resolve()
+        cache = modules / NAME / "__pycache__"
+        for old in cache.glob("kernels-*"):
+            shutil.rmtree(old)
+        environment = os.environ | {"INSDVL_CACHE_DIR": str(cache)}
+        command = [sys.executable, "-m", "insdvl.cli", "warm"]
+        if subprocess.run(command, cwd=modules, env=environment).returncode:
+            print(f"{NAME} is not compiled: its first start does that", file=sys.stderr)
+
+
 setup(
+    cmdclass={"install": Install},
     name=NAME,
     version="0.1.0",
     description="INS/DVL navigation without ROS",

@@ -1,8 +1,7 @@
 """What the innovations say of the filter's covariance."""
 
-from scipy.special import gammaincinv
-
 from insdvl.navigation.filter import UpdateReport
+from insdvl.navigation.gate.chi_square import exceeded
 
 
 def nis_median(rows: int) -> float:
@@ -10,7 +9,7 @@ def nis_median(rows: int) -> float:
 
     It is chi-square with as many degrees of freedom as the measurement has rows.
     """
-    return 2.0 * float(gammaincinv(rows / 2.0, 0.5))
+    return exceeded(rows, 0.5)
 
 
 def scaled_nis(report: UpdateReport) -> float:

@@ -3,11 +3,10 @@
 from collections import deque
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array
 from insdvl.navigation.events import NS, Imu
-from insdvl.navigation.geometry.frames import CONVENTIONS, rpy_from_rotation
+from insdvl.navigation.geometry.frames import CONVENTIONS, rotation_from_vector, rpy_from_rotation
 
 GRAVITY = 9.81  # m/s^2, accurate enough for a sign
 BLOCK_NS = 10 * NS  # length of a block with a mean specific force
@@ -95,6 +94,6 @@ class GravityCheck:
         f = np.mean(self._forces, axis=0)
         axis = np.cross(f, _UP)
         angle = np.arctan2(np.linalg.norm(axis), f @ _UP)
-        turn = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix()
+        turn = rotation_from_vector(angle * axis / np.linalg.norm(axis))
         rpy = rpy_from_rotation(self._axes @ turn @ self._C_b_i @ self._axes)
         return tuple(round(float(x), 2) for x in rpy + 0.0)
