@@ -7,11 +7,12 @@ from typing import Any
 
 import rclpy
 from rclpy.exceptions import InvalidParameterTypeException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException
 
 from insdvl.parameters.declaration import ParameterError
 from ros_insdvl.node import InsdvlNode
 from ros_insdvl.process.arguments import Help, answered, parameter_files
+from ros_insdvl.process.executor import NodeExecutor
 
 
 def run_node(factory: Callable[[], InsdvlNode[Any]], help_: Help) -> int:
@@ -63,11 +64,14 @@ def _spin(factory: Callable[[], Iterable[InsdvlNode[Any]]], nodes: list[InsdvlNo
         print(f"cannot start ROS: {error}", file=sys.stderr)
         return 2
     try:
-        executor = SingleThreadedExecutor()
+        executor = NodeExecutor()
         for node in factory():
             nodes.append(node)
             executor.add_node(node)
-        _turn(executor, nodes)
+        try:
+            _turn(executor, nodes)
+        finally:
+            executor.let_go()
         return next((int(n.finished.result()) for n in nodes if n.finished.done()), 0)
     except (ParameterError, InvalidParameterTypeException) as error:
         print(error, file=sys.stderr)
@@ -93,7 +97,7 @@ def _init() -> None:
         print(f"no log file, the log goes to the terminal only: {error}", file=sys.stderr)
 
 
-def _turn(executor: SingleThreadedExecutor, nodes: Sequence[InsdvlNode[Any]]) -> None:
+def _turn(executor: NodeExecutor, nodes: Sequence[InsdvlNode[Any]]) -> None:
     """Handle messages until a node finishes; no message, whatever its content, ends this.
 
     Only here: an executor of a test raises what a callback raises. An executor does not tell whose

@@ -17,9 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl.arrays import Array
-
-#: CDR, little-endian; alignment counts from behind it.
-ENCAPSULATION = b"\x00\x01\x00\x00"
+from insdvl.messages.cdr.layout import ENCAPSULATION, decoded_text
 
 #: Columns of the numbers, in their order in the message.
 ORIENTATION = slice(0, 4)
@@ -139,7 +137,7 @@ def decode_imu(data: bytes) -> ImuMessage | None:
     start = _numbers_start(length)
     if encapsulation != ENCAPSULATION or len(data) != start + _NUMBERS.size:
         return None
-    frame_id = _text(data[_HEAD.size : _HEAD.size + length])
+    frame_id = decoded_text(data[_HEAD.size : _HEAD.size + length])
     if frame_id is None:
         return None
     header = Header(Stamp(seconds, nanoseconds), frame_id)
@@ -204,7 +202,7 @@ def _frame_number(frame: bytes, start: int, frame_ids: dict[str, int]) -> int:
         frame_ids: Those that are known, with their numbers.
     """
     length = int.from_bytes(frame[:4], "little")
-    frame_id = _text(frame[4 : 4 + length]) if _numbers_start(length) == start else None
+    frame_id = decoded_text(frame[4 : 4 + length]) if _numbers_start(length) == start else None
     return -1 if frame_id is None else frame_ids.setdefault(frame_id, len(frame_ids))
 
 
@@ -219,13 +217,3 @@ def _numbers_start(length: int) -> int:
     """Where the numbers begin behind a frame_id of so many bytes."""
     end = _HEAD.size + length - len(ENCAPSULATION)
     return len(ENCAPSULATION) + end + -end % 8
-
-
-def _text(field: bytes) -> str | None:
-    """A string of CDR, None where it does not end with its only zero or is not UTF-8."""
-    if field.find(b"\0") != len(field) - 1 or not field:
-        return None
-    try:
-        return field[:-1].decode()
-    except UnicodeDecodeError:
-        return None
