@@ -293,28 +293,32 @@ class FilterNode(InsdvlNode[FilterParameters]):
     # Outputs
 
     def _publish(self) -> None:
-        for output in self._fold.take():
+        outputs = self._fold.take()
+        now_ns = self.get_clock().now().nanoseconds if outputs else 0
+        for output in outputs:
             if isinstance(output, AppliedUpdate):
                 self._publish_update(output)
             elif isinstance(output, TimeJump):
                 self._follow(output)
             else:
-                self._publish_state(output)
+                self._publish_state(output, now_ns)
 
-    def _publish_state(self, output: FilterOdometry) -> None:
+    def _publish_state(self, output: FilterOdometry, now_ns: int) -> None:
         self._odometry.send(_encoded(self._in_odom, output, output.in_odom))
         if self._global is not None:
             self._global.send(_encoded(self._in_map, output, output.in_map))
         if self._tf is not None:
             self._tf.send(self._transforms.of(output))
-        self._watch.published(output, self.get_clock().now().nanoseconds)
+        self._watch.published(output, now_ns)
         if not self._start_told and (latest := self._fold.latest) is not None:
             self._start_told = True
             if text := report_of_start(self._fold.filter, latest).text:
                 self.get_logger().info(f"started: {text}")
         second = output.stamp_ns // NS
-        state = self._fold.latest  # none where the output is the last of a time that was left
-        if second != self._slow_second and state is not None:
+        if second == self._slow_second:
+            return
+        # There is no state where the output is the last of a time that was left.
+        if (state := self._fold.latest) is not None:
             self._slow_second = second
             self._tell_heading(state)
             fill_fix(self._fix_message, output.stamp_ns, output.place, output.place_covariance)
