@@ -25,7 +25,14 @@ from insdvl.messages.extrinsics import Extrinsics
 from insdvl.messages.feed import Feed
 from insdvl.messages.inputs import frame_id_of
 from insdvl.messages.make import fill_fix, fill_imu, fill_innovation
-from insdvl.messages.topics import GLOBAL_ODOMETRY, GLOBAL_POSITION, ODOMETRY, Topic, taken
+from insdvl.messages.topics import (
+    GLOBAL_ODOMETRY,
+    GLOBAL_POSITION,
+    IMU,
+    ODOMETRY,
+    Topic,
+    taken,
+)
 from insdvl.messages.transforms import TF, TF_MESSAGE, TF_STATIC, Transforms
 from insdvl.navigation.events import NS, Measurement
 from insdvl.navigation.events import Imu as ImuSample
@@ -250,7 +257,8 @@ class FilterNode(InsdvlNode[FilterParameters]):
         self._discover()
 
     def _subscribe(self, name: str, topic: Topic, kind: str) -> None:
-        qos = command_qos() if topic.command else sensor_qos()
+        rate = self.parameters.imu.rate if name == IMU else 0.0
+        qos = command_qos() if topic.command else sensor_qos(rate)
         decode = decode_imu if kind == IMU_TYPE else None
         self.listen(message_class(kind), name, partial(self._receive, name), qos, decode=decode)
 

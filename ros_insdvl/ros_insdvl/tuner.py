@@ -24,7 +24,7 @@ from insdvl.tuner.tuner import TunedNoise, Tuner
 from ros_insdvl.node import InsdvlNode
 from ros_insdvl.process.arguments import Help
 from ros_insdvl.process.execution import run_node
-from ros_insdvl.qos import latched_qos
+from ros_insdvl.qos import HIGH_RATE, latched_qos, sensor_qos
 from ros_insdvl.status.diagnostics import Status, View
 from ros_insdvl.status.tuner.imu import imu_status
 from ros_insdvl.status.tuner.process_noise import Learned
@@ -68,7 +68,7 @@ class TunerNode(InsdvlNode[TunerParameters]):
         self._learned = Learned(self._tuner, self.parameters.rate, self.parameters.max_gap)
         self._process_noise = self.advertise(Imu, PROCESS_NOISE, latched_qos())
         self.create_service(SetBool, "~/enable", self._enable)
-        self.listen(Imu, IMU, self._on_imu, decode=decode_imu)
+        self.listen(Imu, IMU, self._on_imu, sensor_qos(HIGH_RATE), decode=decode_imu)
         self.start_diagnostics()
 
     def _on_imu(self, message: Imu | ImuMessage) -> None:

@@ -23,7 +23,7 @@ from ros_insdvl.status.heard import HeardDiagnostics, HeardStatus
 from ros_insdvl_sim.trials.environment import TrialError
 
 PATIENCE = 600.0  # s of the wall; programs without a cache compile first, on a busy machine
-DEPTH = 4500  # messages that may wait for a subscriber
+DEPTH = 20_000  # messages that may wait for a subscriber
 
 _STAMP = struct.Struct("<iI")  # of a header, behind the four bytes of encapsulation
 _AnyNode = TypeVar("_AnyNode", bound=Node)
