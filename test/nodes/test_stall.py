@@ -27,7 +27,7 @@ def send_all(graph: Graph, imu: Any, dvl: Any) -> None:
     sample, ping, rng = Imu(), TwistStamped(), np.random.default_rng(3)
     for k in range(1, COUNT + 1):
         stamp_ns = START_NS + k * NS // RATE
-        f, w = rng.normal(0.0, 0.01, 3) + (0.0, 0.0, 9.8), rng.normal(0.0, 1e-3, 3)
+        f, w = rng.normal([0.0, 0.0, 9.8], 0.01), rng.normal(0.0, 1e-3, 3)
         fill_imu(sample, stamp_ns, f, w)
         imu.publish(sample)
         if k % RATE == 0:
