@@ -8,6 +8,7 @@
 # make faults       fly the fault matrix of docs/reliability.md again, about half an hour
 # make soak         add an hour of mission to the soak there; ARGS="--hours 2"
 # make bench        time the filter against the same work in C and against other filters
+# make bench-nodes  time the nodes: CPU per IMU message, memory, messages lost
 # make bench-check  fail where a ratio of them is 20 % worse than benchmarks/speed.json
 # make bench-scaling  measure how the cost grows, for docs/explanation/performance.md
 # make clean        remove what set-up and builds made
@@ -26,7 +27,8 @@ PYTEST := pytest -n 2 --dist loadfile
 SOURCES := $(shell find src ros_insdvl ros_insdvl_sim models tools/build.sh \
 	-name __pycache__ -prune -o -name '*.egg-info' -prune -o -print)
 
-.PHONY: demo test test-all test-jazzy test-core bench bench-check bench-scaling results consistency faults soak clean
+.PHONY: demo test test-all test-jazzy test-core bench bench-nodes bench-check bench-scaling results \
+	consistency faults soak clean
 .DELETE_ON_ERROR:
 
 demo: .venv/.built
@@ -37,6 +39,9 @@ results consistency: .venv/.built
 
 bench: .venv/.built
 	.venv/bin/python benchmarks/speed.py $(ARGS)
+
+bench-nodes: .venv/.built
+	AMENT_PREFIX_PATH=$(CURDIR)/.venv .venv/bin/python benchmarks/nodes.py $(ARGS)
 
 bench-check: .venv/.built
 	.venv/bin/python benchmarks/speed.py --check benchmarks/speed.json $(ARGS)

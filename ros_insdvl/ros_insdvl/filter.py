@@ -18,11 +18,21 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import Imu, NavSatFix
 from std_srvs.srv import Trigger
 
+from insdvl.messages.cdr.imu_bytes import decode_imu
+from insdvl.messages.cdr.odometry_bytes import OdometryEncoder
+from insdvl.messages.convert import IMU as IMU_TYPE
 from insdvl.messages.extrinsics import Extrinsics
 from insdvl.messages.feed import Feed
 from insdvl.messages.inputs import frame_id_of
-from insdvl.messages.make import fill_fix, fill_imu, fill_innovation, fill_odometry
-from insdvl.messages.topics import GLOBAL_ODOMETRY, GLOBAL_POSITION, ODOMETRY, Topic, taken
+from insdvl.messages.make import fill_fix, fill_imu, fill_innovation
+from insdvl.messages.topics import (
+    GLOBAL_ODOMETRY,
+    GLOBAL_POSITION,
+    IMU,
+    ODOMETRY,
+    Topic,
+    taken,
+)
 from insdvl.messages.transforms import TF, TF_MESSAGE, TF_STATIC, Transforms
 from insdvl.navigation.events import NS, Measurement
 from insdvl.navigation.events import Imu as ImuSample
@@ -135,8 +145,9 @@ class FilterNode(InsdvlNode[FilterParameters]):
             name: self.advertise(TwistWithCovarianceStamped, f"{name}/innovation")
             for name in self._inputs.measured
         }
+        self._in_odom = OdometryEncoder(parameters.odom_frame, parameters.base_frame)
+        self._in_map = OdometryEncoder(parameters.map_frame, parameters.base_frame)
         # A message is serialised when it is sent, so one of each kind serves for ever.
-        self._odometry_message = Odometry(child_frame_id=parameters.base_frame)
         self._fix_message = NavSatFix()
         self._fix_message.header.frame_id = parameters.base_frame
         self._bias_message = Imu()
@@ -246,8 +257,10 @@ class FilterNode(InsdvlNode[FilterParameters]):
         self._discover()
 
     def _subscribe(self, name: str, topic: Topic, kind: str) -> None:
-        qos = command_qos() if topic.command else sensor_qos()
-        self.listen(message_class(kind), name, partial(self._receive, name), qos)
+        rate = self.parameters.imu.rate if name == IMU else 0.0
+        qos = command_qos() if topic.command else sensor_qos(rate)
+        decode = decode_imu if kind == IMU_TYPE else None
+        self.listen(message_class(kind), name, partial(self._receive, name), qos, decode=decode)
 
     def _discover(self) -> None:
         """Subscribe to the topics whose publishers show by now which type they have."""
@@ -288,43 +301,32 @@ class FilterNode(InsdvlNode[FilterParameters]):
     # Outputs
 
     def _publish(self) -> None:
-        for output in self._fold.take():
+        outputs = self._fold.take()
+        now_ns = self.get_clock().now().nanoseconds if outputs else 0
+        for output in outputs:
             if isinstance(output, AppliedUpdate):
                 self._publish_update(output)
             elif isinstance(output, TimeJump):
                 self._follow(output)
             else:
-                self._publish_state(output)
+                self._publish_state(output, now_ns)
 
-    def _send(self, to: Output, frame: str, output: FilterOdometry, pose: Pose) -> None:
-        """Publish an output, with its pose in a frame."""
-        self._odometry_message.header.frame_id = frame
-        fill_odometry(
-            self._odometry_message,
-            output.stamp_ns,
-            pose.position,
-            pose.quaternion_xyzw,
-            output.twist_linear,
-            output.twist_angular,
-            pose.covariance,
-            output.twist_covariance,
-        )
-        to.send(self._odometry_message)
-
-    def _publish_state(self, output: FilterOdometry) -> None:
-        self._send(self._odometry, self.parameters.odom_frame, output, output.in_odom)
+    def _publish_state(self, output: FilterOdometry, now_ns: int) -> None:
+        self._odometry.send(_encoded(self._in_odom, output, output.in_odom))
         if self._global is not None:
-            self._send(self._global, self.parameters.map_frame, output, output.in_map)
+            self._global.send(_encoded(self._in_map, output, output.in_map))
         if self._tf is not None:
             self._tf.send(self._transforms.of(output))
-        self._watch.published(output, self.get_clock().now().nanoseconds)
+        self._watch.published(output, now_ns)
         if not self._start_told and (latest := self._fold.latest) is not None:
             self._start_told = True
             if text := report_of_start(self._fold.filter, latest).text:
                 self.get_logger().info(f"started: {text}")
         second = output.stamp_ns // NS
-        state = self._fold.latest  # none where the output is the last of a time that was left
-        if second != self._slow_second and state is not None:
+        if second == self._slow_second:
+            return
+        # There is no state where the output is the last of a time that was left.
+        if (state := self._fold.latest) is not None:
             self._slow_second = second
             self._tell_heading(state)
             fill_fix(self._fix_message, output.stamp_ns, output.place, output.place_covariance)
@@ -418,6 +420,19 @@ class FilterNode(InsdvlNode[FilterParameters]):
     def causes(self, view: View) -> list[Status]:
         """One status per cause, see `FilterWatch`."""
         return self._watch.causes(view)
+
+
+def _encoded(encoder: OdometryEncoder, output: FilterOdometry, pose: Pose) -> bytes:
+    """An output as a message, with its pose in the frame of the encoder."""
+    return encoder.encode(
+        output.stamp_ns,
+        pose.position,
+        pose.quaternion_xyzw,
+        pose.covariance,
+        output.twist_linear,
+        output.twist_angular,
+        output.twist_covariance,
+    )
 
 
 def main() -> int:

@@ -1,5 +1,7 @@
 """Quality of service of the topics; each may be overridden by parameters (`qos_overrides.*`)."""
 
+from math import ceil
+
 from rclpy.qos import (
     DurabilityPolicy,
     HistoryPolicy,
@@ -9,6 +11,12 @@ from rclpy.qos import (
 )
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
+#: A node that does nothing for 10 s loses no sample: those that come until it has caught up wait as
+#: well [s].
+QUEUE = 12.0
+#: Rate of an IMU where it is not known [Hz]: hardly one is faster.
+HIGH_RATE = 1000.0
+
 
 def publisher_qos() -> QoSProfile:
     """Reliable and deep: a reliable subscriber loses nothing in a stall of seconds."""
@@ -17,10 +25,16 @@ def publisher_qos() -> QoSProfile:
     )
 
 
-def sensor_qos() -> QoSProfile:
-    """Subscription to a sensor: best effort, which matches every driver's publisher."""
+def sensor_qos(rate: float = 0.0) -> QoSProfile:
+    """Subscription to a sensor: best effort, which matches every driver's publisher.
+
+    Args:
+        rate: Of the messages, if they are many [Hz]; `QUEUE` seconds of them may wait.
+    """
     return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST, depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT
+        history=HistoryPolicy.KEEP_LAST,
+        depth=max(2000, ceil(QUEUE * rate)),
+        reliability=ReliabilityPolicy.BEST_EFFORT,
     )
 
 

@@ -7,12 +7,14 @@ place of the driver's.
 
 import sys
 from collections import Counter
-from copy import copy
 from typing import Any
 
 from sensor_msgs.msg import Imu
 from std_srvs.srv import SetBool
 
+from insdvl.messages.cdr.imu_bytes import ImuMessage, decode_imu
+from insdvl.messages.convert import vector
+from insdvl.messages.make import fill_imu
 from insdvl.messages.topics import IMU, PROCESS_NOISE
 from insdvl.parameters.declaration import ParameterError
 from insdvl.tuner.models import ModelError
@@ -22,7 +24,7 @@ from insdvl.tuner.tuner import TunedNoise, Tuner
 from ros_insdvl.node import InsdvlNode
 from ros_insdvl.process.arguments import Help
 from ros_insdvl.process.execution import run_node
-from ros_insdvl.qos import latched_qos
+from ros_insdvl.qos import HIGH_RATE, latched_qos, sensor_qos
 from ros_insdvl.status.diagnostics import Status, View
 from ros_insdvl.status.tuner.imu import imu_status
 from ros_insdvl.status.tuner.process_noise import Learned
@@ -66,15 +68,19 @@ class TunerNode(InsdvlNode[TunerParameters]):
         self._learned = Learned(self._tuner, self.parameters.rate, self.parameters.max_gap)
         self._process_noise = self.advertise(Imu, PROCESS_NOISE, latched_qos())
         self.create_service(SetBool, "~/enable", self._enable)
-        self.listen(Imu, IMU, self._on_imu)
+        self.listen(Imu, IMU, self._on_imu, sensor_qos(HIGH_RATE), decode=decode_imu)
         self.start_diagnostics()
 
-    def _on_imu(self, message: Imu) -> None:
+    def _on_imu(self, message: Imu | ImuMessage) -> None:
         tuned = tune(self._tuner, message)
         if tuned is None:
             return
         self._latest = tuned
-        learned = copy(message)  # another node of this process may keep the sample
+        learned = Imu()
+        learned.header.frame_id = message.header.frame_id
+        f = vector(message.linear_acceleration, "linear_acceleration")
+        w = vector(message.angular_velocity, "angular_velocity")
+        fill_imu(learned, tuned.stamp_ns, f, w)
         set_learned(learned, tuned)
         self._process_noise.send(learned)
 

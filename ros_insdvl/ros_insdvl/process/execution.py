@@ -1,17 +1,25 @@
 """Nodes as a process: their start, their executor, their end and the exit code."""
 
+import os
 import signal
 import sys
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import rclpy
+from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 from rclpy.exceptions import InvalidParameterTypeException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException
 
 from insdvl.parameters.declaration import ParameterError
 from ros_insdvl.node import InsdvlNode
 from ros_insdvl.process.arguments import Help, answered, parameter_files
+from ros_insdvl.process.executor import NodeExecutor
+
+#: Environment variable that names the profiles of Fast DDS.
+PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
 
 
 def run_node(factory: Callable[[], InsdvlNode[Any]], help_: Help) -> int:
@@ -63,11 +71,14 @@ def _spin(factory: Callable[[], Iterable[InsdvlNode[Any]]], nodes: list[InsdvlNo
         print(f"cannot start ROS: {error}", file=sys.stderr)
         return 2
     try:
-        executor = SingleThreadedExecutor()
+        executor = NodeExecutor()
         for node in factory():
             nodes.append(node)
             executor.add_node(node)
-        _turn(executor, nodes)
+        try:
+            _turn(executor, nodes)
+        finally:
+            executor.let_go()
         return next((int(n.finished.result()) for n in nodes if n.finished.done()), 0)
     except (ParameterError, InvalidParameterTypeException) as error:
         print(error, file=sys.stderr)
@@ -82,7 +93,13 @@ def _spin(factory: Callable[[], Iterable[InsdvlNode[Any]]], nodes: list[InsdvlNo
 
 
 def _init() -> None:
-    """Start ROS, without log files if their folder cannot be written."""
+    """Start ROS, without log files if their folder cannot be written.
+
+    With Fast DDS and no profile of the user's own, subscriptions may be as deep as they ask.
+    """
+    with suppress(PackageNotFoundError, LookupError):  # the nodes run from their sources
+        share = Path(get_package_share_directory("ros_insdvl"))
+        os.environ.setdefault(PROFILES, str(share / "config" / "fastdds.xml"))
     try:
         rclpy.init()
     except RuntimeError as error:
@@ -93,7 +110,7 @@ def _init() -> None:
         print(f"no log file, the log goes to the terminal only: {error}", file=sys.stderr)
 
 
-def _turn(executor: SingleThreadedExecutor, nodes: Sequence[InsdvlNode[Any]]) -> None:
+def _turn(executor: NodeExecutor, nodes: Sequence[InsdvlNode[Any]]) -> None:
     """Handle messages until a node finishes; no message, whatever its content, ends this.
 
     Only here: an executor of a test raises what a callback raises. An executor does not tell whose

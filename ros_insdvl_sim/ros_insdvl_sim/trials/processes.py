@@ -49,11 +49,7 @@ def _held_back() -> Iterator[None]:
 
 
 def lossless(*topics: str) -> dict[str, Any]:
-    """Parameters of subscriptions that lose nothing while a node is seconds behind.
-
-    The depth stays below what Fast DDS keeps for a reader (5000): a full reader refuses messages,
-    and the sender repeats them until the machine does little else.
-    """
+    """Parameters of subscriptions that lose nothing while a node is seconds behind."""
     values: dict[str, Any] = {}
     for topic in topics:
         values[f"qos_overrides.{topic}.subscription.reliability"] = "reliable"

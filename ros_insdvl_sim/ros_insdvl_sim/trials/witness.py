@@ -13,17 +13,17 @@ from typing import Any, TypeVar
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from insdvl.navigation.events import NS
 from ros_insdvl.endpoints import subscribe
+from ros_insdvl.process.executor import NodeExecutor
 from ros_insdvl.qos import publisher_qos
 from ros_insdvl.status.heard import HeardDiagnostics, HeardStatus
 from ros_insdvl_sim.trials.environment import TrialError
 
 PATIENCE = 600.0  # s of the wall; programs without a cache compile first, on a busy machine
-DEPTH = 4500  # messages that may wait for a subscriber
+DEPTH = 20_000  # messages that may wait for a subscriber
 
 _STAMP = struct.Struct("<iI")  # of a header, behind the four bytes of encapsulation
 _AnyNode = TypeVar("_AnyNode", bound=Node)
@@ -49,7 +49,7 @@ class Witness:
     def __init__(self, name: str = "witness", namespace: str | None = None) -> None:
         self.context = Context()
         rclpy.init(args=[], context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor = NodeExecutor(context=self.context)
         self._nodes: list[Node] = []
         self.node = self.add(Node(name, namespace=namespace, context=self.context))
         self.counts: Counter[str] = Counter()
@@ -66,6 +66,7 @@ class Witness:
         """Take a node down before the end."""
         self._nodes.remove(node)
         self.executor.remove_node(node)
+        self.executor.let_go()
         node.destroy_node()
 
     def hear(self, message_type: type[Any], topic: str, handle: Callable[[bytes], None]) -> None:
@@ -93,7 +94,6 @@ class Witness:
 
     def turn(self) -> None:
         """Handle the next message, or wait a moment for it."""
-        # The executor takes turns between topics only while the time-out stays the same.
         self.executor.spin_once(timeout_sec=0.05)
 
     def spin(self, seconds: float) -> None:
@@ -167,6 +167,7 @@ class Witness:
         """Take all nodes down."""
         if not self.context.ok():
             return
+        self.executor.let_go()
         self.executor.shutdown()
         for node in self._nodes:
             node.destroy_node()

@@ -87,6 +87,8 @@ def vector(field: Any, name: str, measured: Sequence[bool] = (True, True, True))
         RejectedMessage: ``not_finite``.
     """
     numbers = [float(field.x), float(field.y), float(field.z)]
+    if math.isfinite(numbers[0] + numbers[1] + numbers[2]) and all(measured):
+        return np.array(numbers)
     if not all(math.isfinite(x) for x, known in zip(numbers, measured, strict=True) if known):
         raise RejectedMessage("not_finite", f"{name} is {numbers}")
     return np.array([x if known else 0.0 for x, known in zip(numbers, measured, strict=True)])

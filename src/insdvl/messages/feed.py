@@ -43,14 +43,15 @@ class Feed:
         self,
         parameters: FilterParameters,
         *,
-        capacity: int = 4096,
+        capacity: int = 512,
         on_refused: Callable[[str, str, str], None] | None = None,
     ) -> None:
         """Make an empty fold.
 
         Args:
             parameters: Of the filter.
-            capacity: Number of IMU samples to make room for.
+            capacity: Number of IMU samples to make room for at first; there will be as much as
+                max_delay needs.
             on_refused: Called with topic, reason and detail of each message that is not used.
 
         Raises:

@@ -4,7 +4,6 @@ from math import degrees, inf
 
 import numpy as np
 
-from insdvl.navigation.events import Event
 from insdvl.navigation.odometry import Odometry
 from insdvl.timeline.jumps import TimeJump
 from insdvl.timeline.output import AppliedUpdate
@@ -20,14 +19,8 @@ class Cause:
     def jumped(self, jump: TimeJump) -> None:
         """The fold has followed the samples into another time."""
 
-    def took(self, event: Event) -> None:
-        """The fold took an event."""
-
     def updated(self, update: AppliedUpdate) -> None:
         """A measurement was used or rejected."""
-
-    def published(self, output: Odometry, now_ns: int) -> None:
-        """Odometry was published at a time of the node's clock."""
 
     def status(self, view: View) -> Status:
         """The status, as of now."""

@@ -23,9 +23,10 @@ class Frames(Cause):
         """The check starts again."""
         self._check = AlignmentCheck(self._parameters)
 
-    def took(self, event: Event) -> None:
-        """Let the check see an event."""
-        self._check.add(event)
+    def took(self, events: list[Event]) -> None:
+        """Let the check see what the fold took."""
+        for event in events:
+            self._check.add(event)
 
     @property
     def counts(self) -> dict[str, int]:

@@ -48,11 +48,12 @@ class Imu(Cause):
         self._samples.restart()
         self._stamps: deque[int] = deque(maxlen=STAMPS)
 
-    def took(self, event: Event) -> None:
-        """Remember the stamp of a sample."""
-        if isinstance(event, ImuSample):
-            self._stamps.append(event.stamp_ns)
-            self._samples.add(event.stamp_ns)
+    def took(self, events: list[Event]) -> None:
+        """Remember the stamps of the samples among what the fold took."""
+        for event in events:
+            if isinstance(event, ImuSample):
+                self._stamps.append(event.stamp_ns)
+                self._samples.add(event.stamp_ns)
 
     @property
     def counts(self) -> dict[str, int]:

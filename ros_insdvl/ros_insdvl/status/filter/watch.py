@@ -23,6 +23,9 @@ from ros_insdvl.status.filter.process_noise import ProcessNoise
 from ros_insdvl.status.filter.state_file import KeptState
 from ros_insdvl.status.filter.time import Time
 
+#: Events that are looked at together: as they come, it costs the filter more than the events.
+TOGETHER = 50
+
 
 class FilterWatch:
     """Tells the causes what happens.
@@ -45,8 +48,10 @@ class FilterWatch:
     ) -> None:
         self._fold = fold
         self._published = Published()
+        self._taken: list[Event] = []  # that no cause has seen yet
         self._imu = Imu(parameters)
         self._frames = Frames(parameters, inputs)
+        self._output = Output(parameters, self._published)
         self._causes: tuple[Cause, ...] = (
             Initialisation(parameters, inputs, fold, self._published),
             self._imu,
@@ -57,7 +62,7 @@ class FilterWatch:
             ProcessNoise(parameters, fold),
             Time(fold),
             self._frames,
-            Output(parameters, self._published),
+            self._output,
             KeptState(state_file),
             *([] if extrinsics is None else [OfExtrinsics(extrinsics)]),
         )
@@ -65,10 +70,12 @@ class FilterWatch:
     @property
     def counts(self) -> Counter[str]:
         """Events that are counted here and in the fold."""
+        self._look()
         return Counter({**self._fold.counts, **self._imu.counts, **self._frames.counts})
 
     def reset(self) -> None:
         """Another time begins: what was remembered by stamps is forgotten."""
+        self._look()
         self._published.reset()
         for cause in self._causes:
             cause.reset()
@@ -80,8 +87,15 @@ class FilterWatch:
 
     def took(self, event: Event) -> None:
         """The fold took an event."""
-        for cause in self._causes:
-            cause.took(event)
+        self._taken.append(event)
+        if len(self._taken) >= TOGETHER:
+            self._look()
+
+    def _look(self) -> None:
+        """Let the causes see the events since the last look."""
+        self._imu.took(self._taken)
+        self._frames.took(self._taken)
+        self._taken.clear()
 
     def updated(self, update: AppliedUpdate) -> None:
         """A measurement was used or rejected."""
@@ -91,9 +105,9 @@ class FilterWatch:
     def published(self, output: Odometry, now_ns: int) -> None:
         """Odometry was published at a time of the node's clock."""
         self._published.add(output)
-        for cause in self._causes:
-            cause.published(output, now_ns)
+        self._output.published(output, now_ns)
 
     def causes(self, view: View) -> list[Status]:
         """All statuses, as of now."""
+        self._look()
         return [cause.status(view) for cause in self._causes]

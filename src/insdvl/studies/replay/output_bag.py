@@ -4,7 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from insdvl.messages.cdr.odometry_bytes import OdometryColumns, encode_odometries
 from insdvl.messages.convert import FIX, TWIST_WITH_COVARIANCE
+from insdvl.messages.convert import ODOMETRY as ODOMETRY_TYPE
 from insdvl.messages.inputs import frame_id_of
 from insdvl.messages.make import fill_fix, fill_innovation
 from insdvl.messages.topics import GLOBAL_ODOMETRY, GLOBAL_POSITION, IMU, ODOMETRY, taken
@@ -14,7 +16,6 @@ from insdvl.navigation.parameters import FilterParameters
 from insdvl.recordings.bag_writer import BagWriter
 from insdvl.recordings.base import Raw, decode, encode, new_message
 from insdvl.recordings.messages import imu_message
-from insdvl.recordings.odometry_bytes import encode_odometries
 from insdvl.studies.replay.fold import Replayed
 from insdvl.studies.replay.track import TrackColumns
 
@@ -48,11 +49,9 @@ def write_bag(
         for name, topic in reversed(taken(parameters).items())
         if name.lstrip("/") in frame_ids
     }
-    for raw in encode_odometries(f"/{ODOMETRY}", in_odom, track.in_odom):
-        bag.write(raw)
+    _write_odometries(bag, f"/{ODOMETRY}", in_odom, track.in_odom)
     if replayed.has_map:
-        for raw in encode_odometries(f"/{GLOBAL_ODOMETRY}", in_map, track.in_map):
-            bag.write(raw)
+        _write_odometries(bag, f"/{GLOBAL_ODOMETRY}", in_map, track.in_map)
     if parameters.publish_tf:
         transforms = Transforms(new_message, parameters, has_map=replayed.has_map)
         for k, stamp_ns in enumerate(track.stamps_ns.tolist()):
@@ -83,6 +82,15 @@ def write_bag(
         nu, S = model.in_stream(report.innovation, report.S)
         fill_innovation(message, update.stamp_ns, nu, S, angles=model.angles)
         bag.write(encode(f"/{report.measurement}/innovation", update.stamp_ns, message))
+
+
+def _write_odometries(
+    bag: BagWriter, topic: str, frames: tuple[str, str], columns: OdometryColumns
+) -> None:
+    """Write the odometries of a topic, recorded at their stamps."""
+    messages = encode_odometries(frames, columns)
+    for time_ns, data in zip(columns.stamps_ns.tolist(), messages, strict=True):
+        bag.write(Raw(topic, ODOMETRY_TYPE, time_ns, data))
 
 
 def _firsts(recording: Sequence[Raw]) -> list[Raw]:

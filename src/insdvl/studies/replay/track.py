@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array, Stamps
+from insdvl.messages.cdr.odometry_bytes import OdometryColumns
 from insdvl.navigation.events import NS
 from insdvl.navigation.odometry import Odometry, biases, odometry
-from insdvl.recordings.odometry_bytes import OdometryColumns
 from insdvl.studies.replay.fold import Replayed
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.output import FoldResult
