@@ -11,12 +11,15 @@ own, see `velocity_covariance` and dvl.py.
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from insdvl.arrays import Array
+from insdvl.arrays import Array, Stamps
 from insdvl.navigation.events import (
+    MAX_ACCELERATION,
+    MAX_RATE,
     MAX_VARIANCE,
     NS,
     Imu,
@@ -196,8 +199,85 @@ def imu(message: Any, convention: Convention) -> Imu:
             raise RejectedMessage("no_data", f"{name}_covariance[0] is -1")
     return Imu(
         stamp_ns=sensor_stamp_ns(message.header),
-        f_b=convention.body @ vector(message.linear_acceleration, "linear_acceleration"),
-        w_ib_b=convention.body @ vector(message.angular_velocity, "angular_velocity"),
+        f_b=_in_body(vector(message.linear_acceleration, "linear_acceleration"), convention),
+        w_ib_b=_in_body(vector(message.angular_velocity, "angular_velocity"), convention),
+    )
+
+
+def _in_body(vectors: Array, convention: Convention) -> Array:
+    """Vectors (..., 3) of the stream, forward-right-down; the same bits for any number of them.
+
+    The axes differ in signs only. The sum makes zero of minus zero.
+    """
+    return np.asarray(np.diagonal(convention.body) * vectors + 0.0)
+
+
+class ImuArrays(NamedTuple):
+    """N messages sensor_msgs/Imu with one frame_id.
+
+    Attributes:
+        frame_id: Of all of them.
+        sec: (N,) of the stamps.
+        nanosec: (N,) of the stamps.
+        f: (N, 3) linear_acceleration.
+        w: (N, 3) angular_velocity.
+        f_variance: (N,) first element of linear_acceleration_covariance.
+        w_variance: (N,) first element of angular_velocity_covariance.
+        orientation_variances: (N, 9) orientation_covariance.
+    """
+
+    frame_id: str
+    sec: NDArray[np.int32]
+    nanosec: NDArray[np.uint32]
+    f: Array
+    w: Array
+    f_variance: Array
+    w_variance: Array
+    orientation_variances: Array
+
+
+class ImuSamples(NamedTuple):
+    """The samples of N messages, as `imu` gives one.
+
+    Attributes:
+        frame_id: Of all of them.
+        stamps_ns: (N,) stamps.
+        f_b: (N, 3) specific force [m/s^2].
+        w_ib_b: (N, 3) angular rate [rad/s].
+        usable: (N,) whether a message is a sample that `imu` converts and `events.refusal` lets
+            pass. What is wrong with the others, these two tell.
+        oriented: (N,) whether `orientation` may find one in a message.
+    """
+
+    frame_id: str
+    stamps_ns: Stamps
+    f_b: Array
+    w_ib_b: Array
+    usable: NDArray[np.bool_]
+    oriented: NDArray[np.bool_]
+
+
+def imu_samples(messages: ImuArrays, convention: Convention, heading_std: float) -> ImuSamples:
+    """The samples of many messages.
+
+    Args:
+        messages: The messages.
+        convention: Of their axes.
+        heading_std: See `orientation`.
+    """
+    stamps_ns = messages.sec.astype(np.int64) * NS + messages.nanosec
+    usable = (messages.sec >= 0) & (messages.nanosec < NS) & (stamps_ns > 0)
+    usable &= (messages.f_variance != -1.0) & (messages.w_variance != -1.0)
+    for triad, limit in (messages.f, MAX_ACCELERATION), (messages.w, MAX_RATE):
+        usable &= (np.abs(triad) <= limit).all(axis=1)  # nan is not
+    first, of_heading = messages.orientation_variances[:, 0], messages.orientation_variances[:, 8]
+    return ImuSamples(
+        messages.frame_id,
+        stamps_ns,
+        _in_body(messages.f, convention),
+        _in_body(messages.w, convention),
+        usable,
+        ~(first < 0.0) & ((of_heading != 0.0) | (heading_std != 0.0)),
     )
 
 

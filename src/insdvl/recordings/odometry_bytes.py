@@ -1,13 +1,15 @@
-"""Many nav_msgs/Odometry as bytes at once: the general encoder takes 360 us for each of them.
+"""Many nav_msgs/Odometry as bytes and from bytes at once: the general encoder takes 360 us each.
 
 The layout of the message in CDR is fixed but for the two frames, which are the same in all messages
 of a topic. So the messages are the rows of one array.
 """
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from insdvl.arrays import Array, Stamps
 from insdvl.messages.convert import ODOMETRY
@@ -50,30 +52,95 @@ def encode_odometries(
         columns: The numbers.
     """
     stamps_ns, *numbers = columns
-    count = len(stamps_ns)
-    frame, child = (_text(name) for name in frames)
-    aligned = -len(frame) % 4  # the length of the child begins at a multiple of four bytes
-    middle = frame + bytes(aligned) + child
-    middle += bytes(-(8 + len(middle)) % 8)
-    rows = np.empty(
-        count,
-        np.dtype(
-            [
-                ("encapsulation", "S4"),
-                ("sec", "<i4"),
-                ("nanosec", "<u4"),
-                ("frames", "u1", (len(middle),)),
-                ("numbers", "<f8", (sum(n[0].size for n in numbers) if count else 0,)),
-            ]
-        ),
-    )
+    rows = np.zeros(len(stamps_ns), _layout(frames))
     rows["encapsulation"] = _ENCAPSULATION
     rows["sec"], rows["nanosec"] = np.divmod(stamps_ns, NS)
-    rows["frames"] = np.frombuffer(middle, np.uint8)
-    if count:
-        rows["numbers"] = np.concatenate([n.reshape(count, -1) for n in numbers], axis=1)
-    for time_ns, row in zip(stamps_ns.tolist(), rows, strict=True):
-        yield Raw(topic, ODOMETRY, time_ns, row.tobytes())
+    for name, place in zip(("frame", "child"), _places(frames), strict=True):
+        rows[name] = np.frombuffer(place.text, np.uint8)
+    if len(rows):
+        rows["numbers"] = np.concatenate([n.reshape(len(rows), -1) for n in numbers], axis=1)
+    data, size = rows.tobytes(), rows.itemsize
+    for k, time_ns in enumerate(stamps_ns.tolist()):
+        yield Raw(topic, ODOMETRY, time_ns, data[k * size : (k + 1) * size])
+
+
+def decode_odometries(
+    messages: Sequence[bytes], frames: tuple[str, str]
+) -> tuple[OdometryColumns, NDArray[np.bool_]]:
+    """The numbers of messages, and which of them (N,) have the layout that they should have.
+
+    The others are not little-endian, have other frames or another length, or their stamp is not
+    one: `base.decode` and `convert.initial` tell what they are.
+
+    Args:
+        messages: (N,) in CDR.
+        frames: frame_id and child_frame_id.
+    """
+    layout, places = _layout(frames), _places(frames)
+    fit = np.array(
+        [
+            len(data) == layout.itemsize
+            and data[:2] == _ENCAPSULATION[:2]
+            and all(data.startswith(place.text, place.begin) for place in places)
+            for data in messages
+        ],
+        dtype=bool,
+    )
+    rows = np.zeros(len(messages), layout)
+    joined = b"".join([data for data, is_fit in zip(messages, fit, strict=True) if is_fit])
+    if joined:
+        rows[fit] = np.frombuffer(joined, layout)
+    sec, nanosec, numbers = rows["sec"].astype(np.int64), rows["nanosec"], rows["numbers"]
+    fit &= (sec >= 0) & (nanosec < NS)
+    begin, parts = 0, []
+    for shape in _SHAPES:
+        end = begin + math.prod(shape)
+        parts.append(numbers[:, begin:end].reshape(-1, *shape))
+        begin = end
+    return OdometryColumns(sec * NS + nanosec, *parts), fit
+
+
+#: Shapes of the numbers, in the order of `OdometryColumns`.
+_SHAPES = (3,), (4,), (6, 6), (3,), (3,), (6, 6)
+
+
+class _Place(NamedTuple):
+    """Where a string is in a message, and its bytes."""
+
+    begin: int
+    text: bytes
+
+    @property
+    def end(self) -> int:
+        return self.begin + len(self.text)
+
+
+def _places(frames: tuple[str, str]) -> tuple[_Place, _Place]:
+    """The two frames; the length of the child begins at a multiple of four bytes."""
+    frame = _Place(12, _text(frames[0]))
+    return frame, _Place(frame.end + -frame.end % 4, _text(frames[1]))
+
+
+def _layout(frames: tuple[str, str]) -> np.dtype[np.void]:
+    """A message; the numbers begin at a multiple of eight bytes behind the encapsulation."""
+    frame, child = _places(frames)
+    numbers, count = child.end + (4 - child.end) % 8, sum(map(math.prod, _SHAPES))
+    fields = {
+        "encapsulation": ("S4", 0),
+        "sec": ("<i4", 4),
+        "nanosec": ("<u4", 8),
+        "frame": (("u1", (len(frame.text),)), frame.begin),
+        "child": (("u1", (len(child.text),)), child.begin),
+        "numbers": (("<f8", (count,)), numbers),
+    }
+    return np.dtype(
+        {
+            "names": list(fields),
+            "formats": [form for form, _ in fields.values()],
+            "offsets": [offset for _, offset in fields.values()],
+            "itemsize": numbers + 8 * count,
+        }
+    )
 
 
 def _text(name: str) -> bytes:

@@ -270,4 +270,4 @@ def test_a_replay_tells_what_it_found() -> None:
         parameters = build(FilterParameters, {"frame_convention": convention})
         replayed = fold_recording(recording, parameters)
         assert len(replayed.findings) == found
-        assert report(recording, replayed)["frames"] == replayed.findings
+        assert report(replayed)["frames"] == replayed.findings
