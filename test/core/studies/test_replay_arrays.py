@@ -25,7 +25,7 @@ from insdvl.studies.replay.fold import feed_recording
 
 TOPICS = {"/imu": IMU, "/dvl": "dvl/velocity", "/truth": "ground_truth/odometry"}
 START_NS = 1_700_000_000 * NS
-DURATION = 45.0
+DURATION = 32.0
 Change = Callable[[Any], None]
 
 
@@ -141,10 +141,8 @@ def turned(clean: list[Raw]) -> list[Raw]:
 
 
 MODES: dict[str, dict[str, Any]] = {
-    "parameters": {"initial.mode": "parameters", "initial.velocity": (1.0, 0.0, 0.0)},
     "topic": {"initial.mode": "topic"},
     "auto": {},
-    "message": {"process_noise.source": "message", "initial.mode": "topic"},
     "offset": {"initial.mode": "topic", "imu.time_offset": 0.25, "imu.frame_id": "imu"},
 }
 
@@ -188,8 +186,7 @@ def test_arrays_and_single_messages_give_the_same_bits(
             np.testing.assert_array_equal(found.report.S, told.report.S)
     assert replayed.refused == feed.refused
     assert replayed.fold.counts == feed.fold.counts
-    if mode != "message":  # there each message tells a Q
-        assert single.count(IMU) < 0.35 * sum(raw.topic == IMU for raw in recording)
+    assert single.count(IMU) < 0.4 * sum(raw.topic == IMU for raw in recording)
 
 
 def test_a_message_in_arrays_has_the_numbers_of_the_decoder(clean: list[Raw]) -> None:

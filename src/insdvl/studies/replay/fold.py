@@ -145,6 +145,7 @@ def fold_recording(
             receiver.messages(batch)
         folding.add(batch, names)
     folding.take(end=True)
+    folding.checks[-1].finish()
     topics = feed.inputs.topics.items()
     return Replayed(
         fold=feed.fold,
@@ -167,7 +168,7 @@ class _Folding:
     ) -> None:
         self._feed, self._parameters, self._receivers = feed, parameters, receivers
         self.parts = [Part(feed.fold.filter)]
-        self.checks = [AlignmentCheck(parameters)]  # one for each part
+        self.checks = [AlignmentCheck(parameters, thinks=False)]  # one for each part
         self.taken = Taken()
 
     def add(self, batch: Sequence[Raw], names: Mapping[str, str]) -> None:
@@ -213,7 +214,8 @@ class _Folding:
         events = self._feed.give(name, decode(raw).message)
         if self._feed.fold.left:  # a time jump: these were of neither time
             self.take()
-            self.checks.append(AlignmentCheck(self._parameters))
+            self.checks[-1].finish()
+            self.checks.append(AlignmentCheck(self._parameters, thinks=False))
             self.taken = Taken()
             return
         for event, refusal in events:

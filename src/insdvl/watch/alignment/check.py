@@ -123,9 +123,16 @@ class AlignmentCheck:
     """Watches the events of the filter; memory and work per event are bounded.
 
     Events may arrive late and in any order; one that is too late for its window is not used.
+
+    Args:
+        parameters: Of the filter.
+        thinks: Whether it explains the windows as they come. Of a recording `finish` explains them
+            at the end, which is all that is told of it: what a window is worth is computed once,
+            not again with each of the 30 windows behind it.
     """
 
-    def __init__(self, parameters: FilterParameters) -> None:
+    def __init__(self, parameters: FilterParameters, *, thinks: bool = True) -> None:
+        self._thinks = thinks
         self._terms = Terms(parameters)
         self._gravity = GravityCheck(parameters.frame_convention, self._terms.C_b_i)
         self._average = parameters.dvl.gyro_average
@@ -244,8 +251,10 @@ class AlignmentCheck:
             self._average,
         )
         self._motions.append(Motion(samples))
-        self._suspected = self._search.suspects(self._motions)
         self._closed += 1
+        if not self._thinks:
+            return
+        self._suspected = self._search.suspects(self._motions)
         if not self._suspected:
             self._explanations = []
 
@@ -271,7 +280,11 @@ class AlignmentCheck:
 
     def finish(self) -> None:
         """Explain all windows at once, at the end of a recording: some seconds where any is odd."""
-        if not self._suspected or len(self._motions) < FEWEST_WINDOWS:
+        if len(self._motions) < FEWEST_WINDOWS:
+            return
+        if not self._thinks:
+            self._suspected = self._search.suspects(self._motions)
+        if not self._suspected:
             return
         for motion in self._motions:
             if not motion.tried:
