@@ -37,11 +37,13 @@ def with_extrinsics(
             except RejectedMessage as error:
                 raise BagError(f"{TF_STATIC} of {path}: {error}") from error
     names = {name.lstrip("/"): name for name in topics}
-    heard: set[str] = set()
-    for raw in recording:
-        if raw.topic in names and raw.topic not in heard:
-            heard.add(raw.topic)
+    to_hear = recording.topics.intersection(names)
+    for raw in recording.on(to_hear):
+        if raw.topic in to_hear:
+            to_hear -= {raw.topic}
             extrinsics.hear(names[raw.topic], decode(raw).message)
+        if not to_hear:
+            break
     if missing := extrinsics.missing():
         raise BagError(f"extrinsics is 'tf': {'; '.join(missing)}")
     return extrinsics.applied(parameters)
