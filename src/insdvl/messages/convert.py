@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl.arrays import Array, Stamps
+from insdvl.messages.cdr import imu_bytes
+from insdvl.messages.cdr.imu_bytes import ImuColumns
 from insdvl.navigation.events import (
     MAX_ACCELERATION,
     MAX_RATE,
@@ -212,35 +214,12 @@ def _in_body(vectors: Array, convention: Convention) -> Array:
     return np.asarray(np.diagonal(convention.body) * vectors + 0.0)
 
 
-class ImuArrays(NamedTuple):
-    """N messages sensor_msgs/Imu with one frame_id.
-
-    Attributes:
-        frame_id: Of all of them.
-        sec: (N,) of the stamps.
-        nanosec: (N,) of the stamps.
-        f: (N, 3) linear_acceleration.
-        w: (N, 3) angular_velocity.
-        f_variance: (N,) first element of linear_acceleration_covariance.
-        w_variance: (N,) first element of angular_velocity_covariance.
-        orientation_variances: (N, 9) orientation_covariance.
-    """
-
-    frame_id: str
-    sec: NDArray[np.int32]
-    nanosec: NDArray[np.uint32]
-    f: Array
-    w: Array
-    f_variance: Array
-    w_variance: Array
-    orientation_variances: Array
-
-
 class ImuSamples(NamedTuple):
     """The samples of N messages, as `imu` gives one.
 
     Attributes:
-        frame_id: Of all of them.
+        frame_ids: Those that occur, with their numbers.
+        frames: (N,) number of each message's frame_id.
         stamps_ns: (N,) stamps.
         f_b: (N, 3) specific force [m/s^2].
         w_ib_b: (N, 3) angular rate [rad/s].
@@ -249,7 +228,8 @@ class ImuSamples(NamedTuple):
         oriented: (N,) whether `orientation` may find one in a message.
     """
 
-    frame_id: str
+    frame_ids: dict[str, int]
+    frames: NDArray[np.intp]
     stamps_ns: Stamps
     f_b: Array
     w_ib_b: Array
@@ -257,7 +237,7 @@ class ImuSamples(NamedTuple):
     oriented: NDArray[np.bool_]
 
 
-def imu_samples(messages: ImuArrays, convention: Convention, heading_std: float) -> ImuSamples:
+def imu_samples(messages: ImuColumns, convention: Convention, heading_std: float) -> ImuSamples:
     """The samples of many messages.
 
     Args:
@@ -265,20 +245,20 @@ def imu_samples(messages: ImuArrays, convention: Convention, heading_std: float)
         convention: Of their axes.
         heading_std: See `orientation`.
     """
-    stamps_ns = messages.sec.astype(np.int64) * NS + messages.nanosec
-    usable = (messages.sec >= 0) & (messages.nanosec < NS) & (stamps_ns > 0)
-    usable &= (messages.f_variance != -1.0) & (messages.w_variance != -1.0)
-    for triad, limit in (messages.f, MAX_ACCELERATION), (messages.w, MAX_RATE):
+    stamps_ns = messages.seconds.astype(np.int64) * NS + messages.nanoseconds
+    usable = messages.fits & (messages.seconds >= 0) & (messages.nanoseconds < NS)
+    usable &= stamps_ns > 0
+    f = messages.numbers[:, imu_bytes.LINEAR_ACCELERATION]
+    w = messages.numbers[:, imu_bytes.ANGULAR_VELOCITY]
+    for triad, limit in (f, MAX_ACCELERATION), (w, MAX_RATE):
         usable &= (np.abs(triad) <= limit).all(axis=1)  # nan is not
-    first, of_heading = messages.orientation_variances[:, 0], messages.orientation_variances[:, 8]
-    return ImuSamples(
-        messages.frame_id,
-        stamps_ns,
-        _in_body(messages.f, convention),
-        _in_body(messages.w, convention),
-        usable,
-        ~(first < 0.0) & ((of_heading != 0.0) | (heading_std != 0.0)),
-    )
+    for columns in imu_bytes.LINEAR_ACCELERATION_COVARIANCE, imu_bytes.ANGULAR_VELOCITY_COVARIANCE:
+        usable &= messages.numbers[:, columns.start] != -1.0
+    variances = messages.numbers[:, imu_bytes.ORIENTATION_COVARIANCE]
+    oriented = ~(variances[:, 0] < 0.0) & ((variances[:, 8] != 0.0) | (heading_std != 0.0))
+    f_b, w_ib_b = (_in_body(triad, convention) for triad in (f, w))
+    frames = messages.frame_ids, messages.frames
+    return ImuSamples(*frames, stamps_ns, f_b, w_ib_b, usable, oriented)
 
 
 def orientation(message: Any, convention: Convention, heading_std: float) -> Orientation | None:

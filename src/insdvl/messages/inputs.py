@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from insdvl.messages import convert
-from insdvl.messages.convert import ImuArrays, ImuSamples, RejectedMessage
+from insdvl.messages.cdr.imu_bytes import ImuColumns
+from insdvl.messages.convert import ImuSamples, RejectedMessage
 from insdvl.messages.topics import Topic, ZeroStamp, orientation_sigma, taken
 from insdvl.navigation.events import NS, Event, Imu, Measurement, Orientation
 from insdvl.navigation.geometry.frames import CONVENTIONS
@@ -133,7 +134,7 @@ class Inputs:
                 yield replace(self._unstamped, stamp_ns=event.stamp_ns)
                 self._unstamped = None
 
-    def imu_samples(self, topic: str, messages: ImuArrays) -> ImuSamples:
+    def imu_samples(self, topic: str, messages: ImuColumns) -> ImuSamples:
         """Many messages of the IMU, as `events` converts each of them."""
         parameters, offset_ns = self._parameters, self._offsets_ns[topic]
         convention = CONVENTIONS[parameters.frame_convention]
@@ -152,17 +153,16 @@ class Inputs:
             samples: Of messages of that topic.
             part: Which of them follow.
         """
-        row, parameters = self.topics[topic], self._parameters
+        row, parameters, frame_id = self.topics[topic], self._parameters, self.frame_ids.get(topic)
         if row.measurement or parameters.process_noise.source == "message":
             return 0
-        if self._unstamped is not None or self.frame_ids.get(topic) != samples.frame_id:
+        if self._unstamped is not None or frame_id not in samples.frame_ids:
             return 0
-        expected = [frame for _, _, frame in self._frames[topic]]
-        if any(frame != samples.frame_id for frame in expected):
+        if any(expected != frame_id for _, _, expected in self._frames[topic]):
             return 0
-        fit = samples.usable[part]
+        fit = samples.usable[part] & (samples.frames[part] == samples.frame_ids[frame_id])
         if parameters.initial.takes_orientation and not self.initial_done:
-            fit = fit & ~samples.oriented[part]
+            fit &= ~samples.oriented[part]
         return len(fit) if fit.all() else int(np.argmin(fit))
 
     def _is_initial_done(self, fold: Fold) -> bool:

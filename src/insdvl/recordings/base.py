@@ -174,8 +174,7 @@ class _Imu(NamedTuple):
     linear_acceleration_covariance: tuple[float, ...]
 
 
-#: Bytes before a CDR message; alignment counts from behind them.
-ENCAPSULATION_BYTES = 4
+_ENCAPSULATION = 4  # bytes before a CDR message; alignment counts from behind them
 _HEADERS = {b"\x00\x01": struct.Struct("<iII"), b"\x00\x00": struct.Struct(">iII")}
 _IMU_BODIES = {b"\x00\x01": struct.Struct("<37d"), b"\x00\x00": struct.Struct(">37d")}
 
@@ -187,9 +186,9 @@ def _decode_imu(data: bytes) -> _Imu:
         struct.error, KeyError, UnicodeDecodeError or ValueError: The bytes are not such a message.
     """
     order = data[:2]
-    sec, nanosec, length = _HEADERS[order].unpack_from(data, ENCAPSULATION_BYTES)
-    text = ENCAPSULATION_BYTES + 12
-    body = ENCAPSULATION_BYTES + (12 + length + 7) // 8 * 8
+    sec, nanosec, length = _HEADERS[order].unpack_from(data, _ENCAPSULATION)
+    text = _ENCAPSULATION + 12
+    body = _ENCAPSULATION + (12 + length + 7) // 8 * 8
     if not body + _IMU_BODIES[order].size <= len(data) <= body + _IMU_BODIES[order].size + 3:
         raise ValueError(f"{len(data)} bytes are not the size of the message")
     v = _IMU_BODIES[order].unpack_from(data, body)
@@ -241,7 +240,7 @@ def stamp_ns(raw: Raw) -> int:
         BagError: The message is too short to have one.
     """
     try:
-        sec, nanosec, _ = _HEADERS[raw.data[:2]].unpack_from(raw.data, ENCAPSULATION_BYTES)
+        sec, nanosec, _ = _HEADERS[raw.data[:2]].unpack_from(raw.data, _ENCAPSULATION)
     except (KeyError, struct.error) as error:
         raise BagError(f"damaged message on topic {raw.topic}: it has no header") from error
     return int(sec) * NS + int(nanosec)

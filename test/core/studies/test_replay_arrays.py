@@ -9,14 +9,12 @@ from recordings import record
 from records import fields
 from whole import fold_whole
 
-from insdvl.messages.convert import IMU as TYPE
 from insdvl.messages.feed import Feed
 from insdvl.messages.topics import IMU
 from insdvl.navigation.events import NS
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build
-from insdvl.recordings.base import Raw, decode, typestore
-from insdvl.recordings.imu_bytes import imu_arrays
+from insdvl.recordings.base import Raw, typestore
 from insdvl.recordings.played import Listed
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import SCENARIOS
@@ -187,29 +185,3 @@ def test_arrays_and_single_messages_give_the_same_bits(
     assert replayed.refused == feed.refused
     assert replayed.fold.counts == feed.fold.counts
     assert single.count(IMU) < 0.4 * sum(raw.topic == IMU for raw in recording)
-
-
-def test_a_message_in_arrays_has_the_numbers_of_the_decoder(clean: list[Raw]) -> None:
-    """Frames of all lengths: the text is padded to the numbers behind it."""
-    raw = next(raw for raw in clean if raw.topic == IMU)
-    rng = np.random.default_rng(1)
-    for length in range(1, 18):
-        name = "abcdefghijklmnopqrst"[:length]
-
-        def change(message: Any, name: str = name) -> None:
-            message.header.frame_id = name
-            message.orientation_covariance = rng.normal(size=9)
-            message.angular_velocity_covariance = rng.normal(size=9)
-            message.linear_acceleration_covariance = rng.normal(size=9)
-
-        told = changed(raw, change)
-        arrays = imu_arrays([told.data, raw.data, told.data[:-1], told.data + b"\0"], name)
-        message = decode(told).message
-        assert (arrays.sec[0], arrays.nanosec[0]) == tuple(message.header.stamp)
-        assert tuple(arrays.f[0]) == tuple(message.linear_acceleration)
-        assert tuple(arrays.w[0]) == tuple(message.angular_velocity)
-        assert arrays.f_variance[0] == message.linear_acceleration_covariance[0]
-        assert arrays.w_variance[0] == message.angular_velocity_covariance[0]
-        assert tuple(arrays.orientation_variances[0]) == message.orientation_covariance
-        assert not arrays.sec[1:].any()
-    assert raw.type == TYPE

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
+from insdvl.messages.cdr.imu_bytes import decode_imus
 from insdvl.messages.convert import ImuSamples
 from insdvl.messages.feed import Fed, Feed
 from insdvl.messages.refusals import Refused
 from insdvl.messages.topics import IMU, taken
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.recordings.base import BagError, Raw, decode
-from insdvl.recordings.imu_bytes import imu_arrays
 from insdvl.recordings.parameters import ReplayParameters
 from insdvl.recordings.played import Listed, Recording, Stored
 from insdvl.studies.replay.consumer import Consumer
@@ -181,19 +181,12 @@ class _Folding:
         fed, of_imu = [raw for raw in batch if raw.topic in names], names[IMU]
         data = [raw.data for raw in fed if raw.topic == IMU]
         others = [k for k, raw in enumerate(fed) if raw.topic != IMU]
-        by_frame: dict[str, ImuSamples] = {}  # of all messages of the IMU
+        samples = self._feed.inputs.imu_samples(of_imu, decode_imus(data))
         k = row = 0  # next message, and next of the IMU
         for end in [*others, len(fed)]:
             while k < end:
-                count = 0
-                frame_id = self._feed.inputs.frame_ids.get(of_imu)
-                if frame_id is not None:
-                    if frame_id not in by_frame:
-                        arrays = imu_arrays(data, frame_id)
-                        by_frame[frame_id] = self._feed.inputs.imu_samples(of_imu, arrays)
-                    samples = by_frame[frame_id]
-                    count = self._feed.give_samples(of_imu, samples, slice(row, row + end - k))
-                    self._took_samples(samples, slice(row, row + count))
+                count = self._feed.give_samples(of_imu, samples, slice(row, row + end - k))
+                self._took_samples(samples, slice(row, row + count))
                 if not count:
                     self._give(of_imu, fed[k])
                     count = 1

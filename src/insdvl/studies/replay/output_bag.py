@@ -4,7 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from insdvl.messages.cdr.odometry_bytes import OdometryColumns, encode_odometries
 from insdvl.messages.convert import FIX, TWIST_WITH_COVARIANCE
+from insdvl.messages.convert import ODOMETRY as ODOMETRY_TYPE
 from insdvl.messages.feed import Feed
 from insdvl.messages.inputs import frame_id_of
 from insdvl.messages.make import fill_fix, fill_innovation
@@ -16,7 +18,6 @@ from insdvl.navigation.parameters import FilterParameters
 from insdvl.recordings.bag_writer import BagWriter
 from insdvl.recordings.base import Raw, decode, encode, new_message
 from insdvl.recordings.messages import imu_message
-from insdvl.recordings.odometry_bytes import encode_odometries
 from insdvl.studies.replay.track import TrackColumns
 from insdvl.timeline.output import AppliedUpdate
 
@@ -56,11 +57,9 @@ class OutputBag:
         parameters, bag = self._parameters, self._bag
         in_map = parameters.map_frame, parameters.base_frame
         in_odom = parameters.odom_frame, parameters.base_frame
-        for raw in encode_odometries(f"/{ODOMETRY}", in_odom, track.in_odom):
-            bag.write(raw)
+        self._odometries(f"/{ODOMETRY}", in_odom, track.in_odom)
         if self._has_map:
-            for raw in encode_odometries(f"/{GLOBAL_ODOMETRY}", in_map, track.in_map):
-                bag.write(raw)
+            self._odometries(f"/{GLOBAL_ODOMETRY}", in_map, track.in_map)
         if parameters.publish_tf:
             for k, stamp_ns in enumerate(track.stamps_ns.tolist()):
                 bag.write(encode(TF, stamp_ns, self._transforms.of(track.odometry(k))))
@@ -68,6 +67,12 @@ class OutputBag:
         self._second = int(track.stamps_ns[-1] // NS)
         for k in np.flatnonzero(seconds).tolist():
             self._each_second(track, k)
+
+    def _odometries(self, topic: str, frames: tuple[str, str], columns: OdometryColumns) -> None:
+        """Write the odometries of a topic, recorded at their stamps."""
+        messages = encode_odometries(frames, columns)
+        for time_ns, data in zip(columns.stamps_ns.tolist(), messages, strict=True):
+            self._bag.write(Raw(topic, ODOMETRY_TYPE, time_ns, data))
 
     def _each_second(self, track: TrackColumns, k: int) -> None:
         stamp_ns = int(track.stamps_ns[k])

@@ -10,6 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array, Records, Stamps
 from insdvl.messages import convert
+from insdvl.messages.cdr.odometries import decode_odometries
+from insdvl.messages.cdr.odometry_bytes import OdometryColumns
 from insdvl.messages.convert import RejectedMessage
 from insdvl.messages.topics import TRUTH
 from insdvl.navigation.events import MAX_VARIANCE
@@ -18,7 +20,6 @@ from insdvl.navigation.geometry.frames import NED
 from insdvl.navigation.geometry.odom import MAX_FROM_ORIGIN
 from insdvl.navigation.odometry import odometries
 from insdvl.recordings.base import Raw, decode
-from insdvl.recordings.odometry_bytes import OdometryColumns, decode_odometries
 from insdvl.recordings.played import Recording
 from insdvl.studies.evaluation.metrics import Track
 from insdvl.studies.replay.consumer import Consumer

@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array, Records, Stamps
+from insdvl.messages.cdr.odometry_bytes import OdometryColumns
 from insdvl.navigation.error_state import ACCELEROMETER_BIAS, GYROSCOPE_BIAS
 from insdvl.navigation.events import NS
 from insdvl.navigation.filter import Filter
 from insdvl.navigation.odometry import Odometry, odometries
-from insdvl.recordings.odometry_bytes import OdometryColumns
 
 #: Part of an interval by which a state may be early: stamps are rounded.
 _EARLY = 0.01
