@@ -93,10 +93,14 @@ class Entries:
         return self._first_settings
 
     def forget(self, until_ns: int) -> None:
-        """Drop the events up to a stamp."""
+        """Drop the events up to a stamp, all of which have been applied."""
         self._first_settings = self.settings_at(until_ns)
         self._settings = [e for e in self._settings if e.event.stamp_ns > until_ns]
         self.ordered = [entry for entry in self.ordered if entry.event.stamp_ns > until_ns]
+        # One that was left out has no report, and will have none.
+        self.unpublished = [
+            e for e in self.unpublished if e.report is not None or e.event.stamp_ns > until_ns
+        ]
 
     def another_start(self, e: int, until_ns: int) -> bool:
         """Whether up to a stamp another initial state that applies once follows event e."""

@@ -242,6 +242,21 @@ class Samples:
         self.outdate(k)
         return True
 
+    def append(self, stamps_ns: Stamps, f_b: Array, w_ib_b: Array) -> None:
+        """Append samples that follow the newest one; there must be room.
+
+        Args:
+            stamps_ns: (N,) stamps, strictly increasing.
+            f_b: (N, 3) specific force [m/s^2], IMU axes, forward-right-down.
+            w_ib_b: (N, 3) angular rate [rad/s], same axes.
+        """
+        part = slice(self.count, self.count + len(stamps_ns))
+        self.stamps_ns[part] = stamps_ns
+        rotate_samples(self.f_b[part], self._C_b_i, f_b)
+        rotate_samples(self.w_ib_b[part], self._C_b_i, w_ib_b)
+        self.readings[part, :3], self.readings[part, 3:] = f_b, w_ib_b
+        self.count = part.stop
+
     def fill(self, stamps_ns: Stamps, f_b: Array, w_ib_b: Array) -> None:
         """Take all samples of a recording; there are none yet.
 
@@ -272,11 +287,7 @@ class Samples:
             )
         if n > self.stamps_ns.size:
             self.grow(n)
-        self.stamps_ns[:n] = stamps_ns
-        rotate_samples(self.f_b, self._C_b_i, f_b)
-        rotate_samples(self.w_ib_b, self._C_b_i, w_ib_b)
-        self.readings[:n, :3], self.readings[:n, 3:] = f_b, w_ib_b
-        self.count, self.stale = n, 0
+        self.append(stamps_ns, f_b, w_ib_b)
 
     def put_state(self, state: Records, stamp_ns: int) -> None:
         """Begin with the state of another run in the place of a first sample.

@@ -21,7 +21,7 @@ from insdvl.arrays import Array, Stamps
 from insdvl.navigation.events import NS, ProcessNoise
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.recordings.base import BagError
-from insdvl.studies.replay.injection import Injection, announcements
+from insdvl.studies.replay.inputs.injection import Injection, announcements
 from insdvl.studies.replay.scores import errors_of
 from insdvl.studies.results.recordings import Recording, Settings, stream_axes
 from insdvl.timeline.output import FoldResult
