@@ -122,16 +122,26 @@ class Shared:
 def learned(shared: Shared, recording: Recording, samples: Array) -> dict[str, Received]:
     """Output of a tuner with each model, and with the closed form without a bound."""
     tuner = shared.settings.tuner
-    estimators: dict[str, tuple[Estimator, int]] = {
-        row: (bounded(model.variances, tuner.difference_order), model.window)
+    estimators: dict[str, tuple[Estimator, int, int]] = {
+        row: (
+            bounded(model.variances, tuner.difference_order, model.window),
+            model.window,
+            model.history,
+        )
         for row, model in shared.models.items()
     }
-    estimators[CLOSED_FORM] = degree_5, WINDOW
+    estimators[CLOSED_FORM] = degree_5, WINDOW, WINDOW
     return {
         row: tuned(
-            recording.stamps_ns, samples, estimate, window, tuner.rate, round(tuner.max_gap * NS)
+            recording.stamps_ns,
+            samples,
+            estimate,
+            window,
+            tuner.rate,
+            round(tuner.max_gap * NS),
+            history,
         )
-        for row, (estimate, window) in estimators.items()
+        for row, (estimate, window, history) in estimators.items()
     }
 
 
