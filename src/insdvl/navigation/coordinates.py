@@ -144,11 +144,7 @@ def turns_position(s: State, *, invariant: bool) -> Array:
 
     The error of the position in metres is dp = dp_model - [x x] psi.
     """
-    if not invariant:
-        return np.zeros((3, 3))
-    nav, x_n = s["nav"], np.empty(3)
-    earth.displacement(x_n, nav["llh_r"], nav["llh"])
-    return cross_matrix(x_n)
+    return cross_matrix(from_reference(s["nav"])) if invariant else np.zeros((3, 3))
 
 
 def attitude_error(nav: State, C_n_b: Array, *, invariant: bool) -> Array:
