@@ -26,13 +26,12 @@ import numpy as np
 from yardstick import peers
 from yardstick.c_filter import Compiled, Noise, compiled, difference, state_of
 
-from insdvl.arrays import Array, Records
+from insdvl.arrays import Array, Records, copy_records
 from insdvl.navigation.events import NS, Event, Imu, Initial
 from insdvl.navigation.filter import Filter
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.prediction.kept import TRACK, Kept
-from insdvl.navigation.state import copy_records
 from insdvl.parameters.declaration import build
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import SCENARIOS

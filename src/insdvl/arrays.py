@@ -9,3 +9,15 @@ Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 #: (N,) structured records, see navigation/state.py.
 Records = NDArray[np.void]
+
+
+def copy_records(to: Records, of: Records) -> None:
+    """Copy records as bytes: field by field, as numpy does it, takes a hundred times as long."""
+    to.view(np.uint8)[:] = of.view(np.uint8)
+
+
+def copied(records: Records) -> Records:
+    """A copy of records, see `copy_records`."""
+    new = np.empty_like(records)
+    copy_records(new, records)
+    return new

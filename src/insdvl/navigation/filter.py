@@ -12,7 +12,7 @@ import numpy as np
 
 from insdvl.arrays import Array, Records, Stamps
 from insdvl.kernels import kernel
-from insdvl.navigation import channels, coordinates, error_state, kalman, map_to_odom
+from insdvl.navigation import algebra, channels, coordinates, error_state, kalman, map_to_odom
 from insdvl.navigation.error_state import ATTITUDE, HORIZONTAL_POSITION
 from insdvl.navigation.events import (
     NS,
@@ -305,19 +305,22 @@ class Filter:
         s, model, stamp_ns = state[0], self.models[event.name], event.stamp_ns
         if model.tells_velocity:
             now = self.process_noise.before_correction(s, now)
-        invariant, heading = self.vehicle.invariant, s["nav"]["P"][_HEADING, _HEADING]
+        invariant = self.vehicle.invariant
+        covers = invariant and self.parameters.earth_rate and model.angles
+        heading = float(s["nav"]["P"][_HEADING, _HEADING]) if covers else 0.0
         K, left = kalman.correct(
             state,
             self.constants,
             now,
             lambda: model.linearise(state, event, turn),
+            self._workspace,
             iterate=invariant,
         )
-        if invariant and kalman.tells(now.H, HORIZONTAL_POSITION.start, HORIZONTAL_POSITION.stop):
+        if invariant and algebra.tells(now.H, HORIZONTAL_POSITION.start, HORIZONTAL_POSITION.stop):
             coordinates.move_reference(s)
-        if invariant and self.parameters.earth_rate and model.angles:
+        if covers:
             bias = self.parameters.initial.gyroscope_bias_std**2
-            error_state.take_earth_rate_from_bias(s, float(heading), bias)
+            error_state.take_earth_rate_from_bias(s, heading, bias)
         self._gates[event.name].accept(state, stamp_ns, now.H, K, left)
         if model.tells_velocity:
             judged_ns = s["gate"][event.name]["judged_ns"]

@@ -1,4 +1,4 @@
-"""Kalman algebra for a measurement of m rows: innovation covariance, gain, NIS, Joseph form.
+"""How a measurement of m rows corrects a state; the matrices are in algebra.py.
 
 What a measurement is, where it comes from and whether it is believed is decided elsewhere
 (measurements/, gate/); here are only the equations, the same for every sensor.
@@ -12,13 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl.arrays import Array, Records
+from insdvl.arrays import Array, Records, copied, copy_records
 from insdvl.kernels import kernel
 from insdvl.navigation import coordinates
+from insdvl.navigation.algebra import gain, is_measured, joseph, remainder, rows_of, tells
 from insdvl.navigation.error_state import ATTITUDE, POSITION, VELOCITY
 from insdvl.navigation.geometry.rotation import exponential, rotate
 from insdvl.navigation.measurements.base import Linearised
-from insdvl.navigation.state import copied, copy_records
 
 #: An update is iterated where h bends by the mean sigma of R, and by a part from half of it on.
 _BEND = 1.0  # (sigma)^2
@@ -29,8 +29,6 @@ _STEPS = 10
 _PRODUCT = 1e-3
 # First elements of blocks, for the kernel.
 _V, _A, _DOWN = VELOCITY.start, ATTITUDE.start, 2
-#: Smallest pivot of S, relative to its diagonal: below it the gain would be rounding.
-_LEAST_PIVOT = 1e-10
 
 
 class Innovated(NamedTuple):
@@ -76,169 +74,6 @@ def innovate(P: Array, z_minus_h: Array, H: Array, R: Array) -> Innovated:
 
 
 @kernel
-def is_measured(H: Array, a: int) -> bool:
-    """Whether row a of a Jacobian (m, n) is not one of zeros."""
-    count = 0
-    for i in range(H.shape[1]):
-        count += H[a, i] != 0.0
-    return count > 0
-
-
-@kernel
-def rows_of(H: Array) -> int:
-    """Number of components that were measured, by the Jacobian (m, n)."""
-    rows = 0
-    for a in range(H.shape[0]):
-        rows += is_measured(H, a)
-    return rows
-
-
-@kernel
-def tells(H: Array, first: int, last: int) -> bool:
-    """Whether a Jacobian (m, n) has any of the error states first <= i < last."""
-    for a in range(H.shape[0]):
-        for i in range(first, last):
-            if H[a, i] != 0.0:
-                return True
-    return False
-
-
-@kernel
-def gain(P: Array, H: Array, R: Array, nu: Array, S: Array, K: Array) -> float:
-    """S = H P H^T + R and K = P H^T S^-1; returns nu^T S^-1 nu, or nan."""
-    m, n = H.shape
-    PHt = np.empty((n, m))
-    for i in range(n):
-        for a in range(m):
-            total = 0.0
-            for k in range(n):
-                total += P[i, k] * H[a, k]
-            PHt[i, a] = total
-    for a in range(m):
-        for b in range(a + 1):
-            total = R[a, b]
-            for k in range(n):
-                total += H[a, k] * PHt[k, b]
-            S[a, b] = total
-            S[b, a] = total
-    S_inv = np.empty((m, m))
-    if not _inverse(S, S_inv):
-        return np.nan
-    for i in range(n):
-        for a in range(m):
-            total = 0.0
-            for b in range(m):
-                total += PHt[i, b] * S_inv[b, a]
-            K[i, a] = total
-    nis = 0.0
-    for a in range(m):
-        total = 0.0
-        for b in range(m):
-            total += S_inv[a, b] * nu[b]
-        nis += nu[a] * total
-    return nis
-
-
-@kernel
-def _inverse(S: Array, S_inv: Array) -> bool:
-    """Inverse of a symmetric matrix (m, m) by Cholesky; False where it is not positive definite.
-
-    S = L L^T, and S^-1 = L^-T L^-1. Nor is a matrix whose smallest directions are lost in the
-    rounding of the largest.
-    """
-    m = S.shape[0]
-    L, L_inv = np.zeros((m, m)), np.zeros((m, m))
-    for i in range(m):
-        for j in range(i + 1):
-            total = S[i, j]
-            for k in range(j):
-                total -= L[i, k] * L[j, k]
-            if i > j:
-                L[i, j] = total / L[j, j]
-            elif total > _LEAST_PIVOT * S[i, i]:  # nan is not
-                L[i, i] = np.sqrt(total)
-            else:
-                return False
-    for j in range(m):
-        L_inv[j, j] = 1.0 / L[j, j]
-        for i in range(j + 1, m):
-            total = 0.0
-            for k in range(j, i):
-                total -= L[i, k] * L_inv[k, j]
-            L_inv[i, j] = total / L[i, i]
-    for i in range(m):
-        for j in range(i + 1):
-            total = 0.0
-            for k in range(i, m):
-                total += L_inv[k, i] * L_inv[k, j]
-            S_inv[i, j] = total
-            S_inv[j, i] = total
-    return True
-
-
-@kernel
-def _remainder(K: Array, H: Array) -> Array:
-    """I - K H (n, n)."""
-    B = np.eye(len(K))
-    for i in range(len(K)):
-        for j in range(len(K)):
-            total = 0.0
-            for a in range(len(H)):
-                total += K[i, a] * H[a, j]
-            B[i, j] -= total
-    return B
-
-
-@kernel
-def joseph(P: Array, P_0: Array, B: Array, K: Array, R: Array) -> None:
-    """P = B P_0 B^T + K R K^T, symmetric; P may be P_0.
-
-    Most columns of B are those of the identity: the measurement has nothing of these states. The
-    products go from row to row and leave them out, which changes no bit.
-
-    Args:
-        P: (N, N) result, in its first n rows and columns.
-        P_0: (N, N) covariance at the prediction.
-        B: (n, n) Jacobian of the errors behind the correction by those before, I - K H.
-        K: (n, m) gain.
-        R: (m, m) covariance of the measurement noise.
-    """
-    n, m = K.shape
-    is_full, B_T, A = np.zeros(n, np.bool_), np.empty((n, n)), np.zeros((n, n))
-    row, of_R = np.empty(n), np.empty(m)
-    for k in range(n):
-        for i in range(n):
-            B_T[k, i] = B[i, k]
-            if B[i, k] != (1.0 if i == k else 0.0):
-                is_full[k] = True
-    for i in range(n):
-        for k in range(n):
-            if is_full[k] or i == k:
-                b = B[i, k]
-                for j in range(n):
-                    A[i, j] += b * P_0[k, j]
-    for i in range(n):
-        row[:] = 0.0
-        for k in range(n):
-            a = A[i, k]
-            if is_full[k]:
-                for j in range(n):
-                    row[j] += a * B_T[k, j]
-            else:
-                row[k] += a
-        for b in range(m):
-            of_R[b] = 0.0
-            for a in range(m):
-                of_R[b] += K[i, a] * R[a, b]
-        for j in range(i + 1):
-            total = row[j]
-            for b in range(m):
-                total += of_R[b] * K[j, b]
-            P[i, j] = total
-            P[j, i] = total
-
-
-@kernel
 def _inject(state: Records, constants: Records, dx: Array) -> None:
     coordinates.inject(state[0], constants[0], dx)
 
@@ -253,6 +88,7 @@ def _correct(
     innovation: Array,
     mean: Array,
     product: bool,
+    workspace: Records,
 ) -> None:
     """Joseph form, then the injection of K nu.
 
@@ -267,7 +103,7 @@ def _correct(
             total += K[i, a] * innovation[a]
         dx[i] = total
     P = state[0].nav.P
-    joseph(P, P, _remainder(K, H), K, R)
+    joseph(P, P, remainder(K, H), K, R, workspace)
     if product:
         turn, scratch, dv = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
         exponential(turn, scratch, dx[_A], dx[_A + 1], 0.0)
@@ -305,6 +141,7 @@ class _Iteration:
         constants: (1,) of the filter.
         prior: The measurement at the predicted state.
         relinearise: Linearises the measurement again at the state as it is then.
+        workspace: (1,) of the filter.
     """
 
     def __init__(
@@ -313,8 +150,10 @@ class _Iteration:
         constants: Records,
         prior: Innovated,
         relinearise: Callable[[], Linearised],
+        workspace: Records,
     ) -> None:
         self._state, self._constants, self._relinearise = state, constants, relinearise
+        self._workspace = workspace
         self._before, self._next = copied(state), prior
 
     def go_back(self) -> None:
@@ -332,7 +171,9 @@ class _Iteration:
         R, P_0 = now.R, self._before["nav"]["P"][0]
         self.go_back()
         dx = now.K @ now.innovation
-        _correct(state, self._constants, now.H, now.K, R, now.innovation, np.zeros(3), False)
+        linear = np.zeros(3), False
+        of_now = now.H, now.K, R, now.innovation
+        _correct(state, self._constants, *of_now, *linear, self._workspace)
         again, T = self._relinearise(), coordinates.remaining(dx)
         bend = again.z_minus_h - (now.innovation - now.H @ dx)
         H = again.H @ T
@@ -340,7 +181,8 @@ class _Iteration:
         there = self._next if self.can_go_on else now
         # Joseph form with T inside, where large numbers cancel before they are squared.
         P = np.empty(T.shape)
-        joseph(P, P_0, T @ _remainder(there.K, there.H), T @ there.K, R)
+        A = T @ remainder(there.K, there.H)
+        joseph(P, P_0, A, T @ there.K, R, self._workspace)
         mean_variance = np.trace(R) / len(R)
         return _Step(dx, P, now.K, again.z_minus_h, float(bend @ bend) / mean_variance)
 
@@ -394,7 +236,11 @@ def _product_counts(
 
 
 def _correct_body_velocity(
-    state: Records, constants: Records, prior: Innovated, relinearise: Callable[[], Linearised]
+    state: Records,
+    constants: Records,
+    prior: Innovated,
+    relinearise: Callable[[], Linearised],
+    workspace: Records,
 ) -> tuple[Array, Array]:
     """Correct with a measurement of the body velocity, see `correct`.
 
@@ -413,7 +259,7 @@ def _correct_body_velocity(
             K, innovation, product = now.K, now.innovation, True
         else:
             P[VELOCITY, VELOCITY] = before
-    _correct(state, constants, H, K, R, innovation, mean, product)
+    _correct(state, constants, H, K, R, innovation, mean, product, workspace)
     return K, relinearise().z_minus_h
 
 
@@ -422,6 +268,7 @@ def correct(
     constants: Records,
     prior: Innovated,
     relinearise: Callable[[], Linearised],
+    workspace: Records,
     *,
     iterate: bool,
 ) -> tuple[Array, Array]:
@@ -444,19 +291,21 @@ def correct(
         constants: (1,) of the filter.
         prior: The measurement at the predicted state.
         relinearise: Linearises the measurement again at the state as it is then.
+        workspace: (1,) of the filter.
         iterate: Whether to do so; the published filter corrects once, linearly.
 
     Returns:
         The gain (n, m) at the prediction, and the innovation (m,) that is left.
     """
     if not iterate:
-        none = np.zeros(3)
-        _correct(state, constants, prior.H, prior.K, prior.R, prior.innovation, none, False)
+        linear = np.zeros(3), False
+        of_prior = prior.H, prior.K, prior.R, prior.innovation
+        _correct(state, constants, *of_prior, *linear, workspace)
         return prior.K, relinearise().z_minus_h
     if not tells(prior.H, POSITION.start, POSITION.stop):
-        return _correct_body_velocity(state, constants, prior, relinearise)
+        return _correct_body_velocity(state, constants, prior, relinearise, workspace)
     n = len(prior.K)
-    iteration = _Iteration(state, constants, prior, relinearise)
+    iteration = _Iteration(state, constants, prior, relinearise, workspace)
     first = best = iteration.step()
     share = 2.0 * math.sqrt(first.bend / _BEND) - 1.0
     if not share > 0.0 or not math.isfinite(share):

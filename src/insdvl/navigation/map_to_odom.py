@@ -37,7 +37,6 @@ RESET_STEP = 10.0
 #: not defined: there the turn about the vertical is taken.
 _SHORTEST_NOSE = math.sin(math.radians(10.0))
 _HEADING = ATTITUDE.stop - 1
-_DOWN = np.array([0.0, 0.0, 1.0])
 
 
 class Before(NamedTuple):
@@ -201,7 +200,8 @@ def _covariance(s: State, vehicle: Vehicle, p_o: Array, yaw: float) -> Array:
         J[:3, ATTITUDE] = -cross_matrix(_from_reference(s, vehicle))
     else:
         J[:3, ATTITUDE] = cross_matrix(s["nav"]["C_n_b"] @ vehicle.l_b_imu)
-    J[:3, _HEADING] += np.cross(b_o, _DOWN)
+    J[0, _HEADING] += b_o[1]
+    J[1, _HEADING] -= b_o[0]
     J[3, _HEADING] = 1.0
     J[:3] = A @ J[:3]
     return np.asarray(J @ P[: vehicle.n, : vehicle.n] @ J.T)

@@ -127,6 +127,8 @@ def applied(entries: list[Entry]) -> list[AppliedUpdate]:
 def split(entries: list[Entry], until_ns: int) -> tuple[list[Entry], list[Entry]]:
     """Those that were applied and are not after a stamp, and the others."""
     done = [e for e in entries if e.report is not None and e.event.stamp_ns <= until_ns]
+    if not done:
+        return done, entries
     return done, [e for e in entries if e.report is None or e.event.stamp_ns > until_ns]
 
 

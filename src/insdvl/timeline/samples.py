@@ -125,6 +125,13 @@ def rotate_samples(out: Array, C: Array, samples: Array) -> None:
         rotate(out[k], C, samples[k])
 
 
+@kernel
+def _rotate_reading(f_b: Array, w_ib_b: Array, C: Array, reading: Array, k: int) -> None:
+    """Sample k (N, 3) of both triads, from the reading (6,)."""
+    rotate(f_b[k], C, reading[:3])
+    rotate(w_ib_b[k], C, reading[3:])
+
+
 class Samples:
     """Samples in base_link axes, as they were read, and the states at their stamps.
 
@@ -216,28 +223,23 @@ class Samples:
         Returns:
             Whether it is new; not where there is one with its stamp.
         """
-        rotated = np.empty((2, 3))
-        rotate_samples(rotated, self._C_b_i, np.array([sample.f_b, sample.w_ib_b]))
-        f_b, w_ib_b = rotated
         reading = np.concatenate([sample.f_b, sample.w_ib_b])
         n, stamp_ns = self.count, sample.stamp_ns
         k = n
         if n and stamp_ns <= self.stamps_ns[n - 1]:
             k = self.index_of(stamp_ns)
             if self.stamps_ns[k] == stamp_ns:
+                rotated = np.empty((2, 3))
+                rotate_samples(rotated, self._C_b_i, reading.reshape(2, 3))
                 kept = self.f_b[k].tobytes() + self.w_ib_b[k].tobytes()
-                if f_b.tobytes() + w_ib_b.tobytes() < kept:
-                    self.f_b[k], self.w_ib_b[k], self.readings[k] = f_b, w_ib_b, reading
+                if rotated.tobytes() < kept:
+                    self.f_b[k], self.w_ib_b[k], self.readings[k] = *rotated, reading
                     self.outdate(k)
                 return False
-        for array, value in (
-            (self.stamps_ns, stamp_ns),
-            (self.f_b, f_b),
-            (self.w_ib_b, w_ib_b),
-            (self.readings, reading),
-        ):
-            array[k + 1 : n + 1] = array[k:n]
-            array[k] = value
+            for array in (self.stamps_ns, self.f_b, self.w_ib_b, self.readings):
+                array[k + 1 : n + 1] = array[k:n]
+        self.stamps_ns[k], self.readings[k] = stamp_ns, reading
+        _rotate_reading(self.f_b, self.w_ib_b, self._C_b_i, reading, k)
         self.count = n + 1
         self.outdate(k)
         return True

@@ -7,7 +7,7 @@ import numpy as np
 
 from insdvl.arrays import Array, Records
 from insdvl.kernels import kernel
-from insdvl.navigation import kalman
+from insdvl.navigation import algebra
 from insdvl.navigation.channels import any_unseen
 from insdvl.navigation.events import NS
 from insdvl.navigation.process_noise import shown
@@ -88,7 +88,7 @@ def is_ordinary(
     if doubted:
         for a in range(len(R)):
             R[a, a] += g.doubt**2
-    nis, rows = kalman.gain(s.nav.P, H, R, innovation, S, K), kalman.rows_of(H)
+    nis, rows = algebra.gain(s.nav.P, H, R, innovation, S, K), algebra.rows_of(H)
     if not np.isfinite(nis):
         return nis, rows, False
     shown.advance(s, constants[0], stamp_ns)
@@ -98,7 +98,7 @@ def is_ordinary(
     fair = nis
     if shown.has_excess(s.noise.excess):
         P = shown.with_excess(s.nav.P, s.noise.excess, H.shape[1])
-        fair = kalman.gain(P, H, R, innovation, np.empty_like(S), np.empty_like(K))
+        fair = algebra.gain(P, H, R, innovation, np.empty_like(S), np.empty_like(K))
     if fair > limits[rows]:
         return nis, rows, False
     g.drifts = 0

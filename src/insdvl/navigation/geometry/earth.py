@@ -94,6 +94,10 @@ def _displacements(d_n: Array, places: Array, to: Array) -> None:
 
 def displacements(places: Array, to: Array) -> Array:
     """Metres (..., 3) north, east and down from places (..., 3) to others, see `displacement`."""
+    if places.ndim == to.ndim == 1:
+        d_n = np.empty(3)
+        displacement(d_n, np.ascontiguousarray(places), np.ascontiguousarray(to))
+        return d_n
     places, to = (np.ascontiguousarray(x) for x in np.broadcast_arrays(places, to))
     d_n = np.empty(places.shape)
     _displacements(d_n.reshape(-1, 3), places.reshape(-1, 3), to.reshape(-1, 3))
