@@ -14,6 +14,7 @@ from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import Imu
 
 from insdvl.arrays import Array
+from insdvl.messages.cdr.odometry_bytes import decode_odometry
 from insdvl.messages.convert import stamp_ns
 from insdvl.messages.topics import PROCESS_NOISE, TRUE_PROCESS_NOISE, TRUTH
 from insdvl.navigation.events import NS
@@ -119,7 +120,7 @@ class Monitor(InsdvlNode[MonitorParameters]):
         super().__init__("insdvl_monitor", MonitorParameters, **options)
         keep = self.parameters.keep
         self.truth = OdometrySeries(keep)
-        self.listen(Odometry, TRUTH, self.truth.add)
+        self.listen(Odometry, TRUTH, self.truth.add, decode=decode_odometry)
         self.heard = HeardDiagnostics()
         self.filters: list[Watched] = []
         for namespace in self.parameters.filters:
@@ -131,7 +132,8 @@ class Monitor(InsdvlNode[MonitorParameters]):
                 heard=self.heard,
             )
             self.filters.append(watched)
-            self.listen(Odometry, f"{prefix}odometry/filtered", watched.series.add)
+            topic = f"{prefix}odometry/filtered"
+            self.listen(Odometry, topic, watched.series.add, decode=decode_odometry)
         self.learned_q: deque[Noise] = deque(maxlen=keep)
         self.true_q: deque[Noise] = deque(maxlen=keep)
         for topic, kept in ((PROCESS_NOISE, self.learned_q), (TRUE_PROCESS_NOISE, self.true_q)):

@@ -7,6 +7,7 @@ import numpy as np
 from nav_msgs.msg import Odometry
 
 from insdvl.arrays import Array, Stamps
+from insdvl.messages.cdr.odometry_bytes import OdometryMessage
 from insdvl.messages.convert import stamp_ns
 
 
@@ -29,7 +30,7 @@ class OdometrySeries:
     def __len__(self) -> int:
         return len(self._stamps)
 
-    def add(self, message: Odometry) -> None:
+    def add(self, message: Odometry | OdometryMessage) -> None:
         """Keep a message."""
         pose, twist = message.pose, message.twist
         p, q, v = pose.pose.position, pose.pose.orientation, twist.twist.linear
@@ -37,8 +38,8 @@ class OdometrySeries:
         self._rows.append(
             [
                 *(p.x, p.y, p.z, q.x, q.y, q.z, q.w, v.x, v.y, v.z),
-                *pose.covariance[::7].tolist(),
-                *twist.covariance[:15:7].tolist(),
+                *map(float, pose.covariance[::7]),
+                *map(float, twist.covariance[:15:7]),
             ]
         )
 
