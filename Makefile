@@ -3,13 +3,14 @@
 # make test-all     run all tests, the long ones included, 40 minutes
 # make test-jazzy   run all tests with the library versions of ROS 2 Jazzy; needs Python 3.12
 # make test-core    run the fast tests of the core alone with those versions: no ROS, any platform
-# make results      recompute docs/results.md, about an hour; ARGS="--recordings DIR --config FILE"
+# make results      recompute docs/results/, about an hour; ARGS="--recordings DIR --config FILE"
 # make consistency  fly docs/results/consistency.md again, about 50 minutes on two quiet cores
 # make faults       fly the fault matrix of docs/reliability.md again, about half an hour
 # make soak         add an hour of mission to the soak there; ARGS="--hours 2"
 # make bench        time the filter against the same work in C and against other filters
 # make bench-nodes  time the nodes: CPU per IMU message, memory, messages lost
 # make bench-check  fail where a ratio of them is 20 % worse than benchmarks/speed.json
+# make bench-scaling  measure how the cost grows, for docs/explanation/performance.md
 # make clean        remove what set-up and builds made
 #
 # Each sets up the environment when it runs first and rebuilds what changed.
@@ -26,7 +27,8 @@ PYTEST := pytest -n 2 --dist loadfile
 SOURCES := $(shell find src ros_insdvl ros_insdvl_sim models tools/build.sh \
 	-name __pycache__ -prune -o -name '*.egg-info' -prune -o -print)
 
-.PHONY: demo test test-all test-jazzy test-core bench bench-nodes bench-check results consistency faults soak clean
+.PHONY: demo test test-all test-jazzy test-core bench bench-nodes bench-check bench-scaling results \
+	consistency faults soak clean
 .DELETE_ON_ERROR:
 
 demo: .venv/.built
@@ -43,6 +45,9 @@ bench-nodes: .venv/.built
 
 bench-check: .venv/.built
 	.venv/bin/python benchmarks/speed.py --check benchmarks/speed.json $(ARGS)
+
+bench-scaling: .venv/.built
+	.venv/bin/python benchmarks/scaling.py $(ARGS)
 
 faults soak: .venv/.built
 	AMENT_PREFIX_PATH=$(CURDIR)/.venv .venv/lib/ros_insdvl_sim/$@ $(ARGS)

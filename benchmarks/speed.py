@@ -32,6 +32,7 @@ from insdvl.navigation.filter import Filter
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.prediction.kept import TRACK, Kept
+from insdvl.navigation.state import copy_records
 from insdvl.parameters.declaration import build
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import SCENARIOS
@@ -199,14 +200,14 @@ def of_the_filter(subject: Subject) -> list[Row]:
     state = states[:1].copy()
 
     def predict() -> None:
-        state[0] = states[RATE]
+        copy_records(state, states[RATE:][:1])
         arrays = m.stamps_ns[RATE + 1 :], m.f_b[RATE + 1 :], m.w_ib_b[RATE + 1 :]
         filter_.predict_samples(state, *arrays, readings[RATE + 1 :], 0, RATE - 2, kept)
 
     def update(count: int) -> None:
         ping = Dvl(int(m.stamps_ns[51 * RATE - 1]), m.v_d[50])
         for _ in range(count):
-            state[0] = states[51 * RATE - 2]
+            copy_records(state, states[51 * RATE - 2 :][:1])
             filter_.update(state, ping, m.w_ib_b[51 * RATE - 1], 1.0)
 
     online = Fold(subject.parameters)

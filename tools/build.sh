@@ -8,6 +8,8 @@ name=$(basename "$folder")
 python=$folder/bin/python
 
 echo "Build: insdvl, ros_insdvl and ros_insdvl_sim go into $folder."
+# Compiled functions are kept in the user's cache, which outlives a build.
+export INSDVL_CACHE_DIR="${INSDVL_CACHE_DIR:-${XDG_CACHE_HOME:-$HOME/.cache}/insdvl}"
 # A module that was deleted or renamed must not live on in the environment.
 site=$("$python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
 rm -rf "build/$name" "$site"/insdvl "$site"/insdvl-* "$site"/ros_insdvl* \

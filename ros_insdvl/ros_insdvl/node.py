@@ -179,9 +179,9 @@ class InsdvlNode(Node, Generic[_Group]):
         """Say in the log what the first start of a version compiles, and how long that takes."""
         log = self.get_logger()
         return kernels.compiling(
-            begins=lambda: log.info(
-                "compiling, once for this version on this computer: about a minute, on a small "
-                "computer some minutes; `insdvl warm` does it in advance"
+            begins=lambda why: log.info(
+                f"compiling, {why}: about a minute, on a small computer some minutes; "
+                "`insdvl warm` does it in advance"
             ),
             ends=lambda seconds: log.info(f"compiled in {seconds:.0f} s"),
             warns=log.warning,

@@ -60,14 +60,14 @@ def _refuse(name: str) -> None:
 
 
 def read_parts(
-    folder: Path, names: Iterable[str], page: Callable[[Mapping[str, Any]], str]
+    folder: Path, names: Iterable[str], page: Callable[[Mapping[str, Any]], object]
 ) -> dict[str, Any]:
     """The available parts of a page, each read from a JSON file.
 
     Args:
         folder: Folder of the files.
         names: Names of the parts; a file has the name of its part.
-        page: Writes the page from parts; a part that it cannot use is damaged.
+        page: Writes the page or pages from parts; a part that it cannot use is damaged.
 
     Raises:
         ValueError: A file cannot be read or is damaged; the message names it.

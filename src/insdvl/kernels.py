@@ -1,24 +1,26 @@
 """Compilation of the hot functions with numba, and the cache of the compiled functions.
 
-The cache is in ``$INSDVL_CACHE_DIR``, or in the user's cache folder. One that is filled may be
-read-only, as in an image. If there is none to read or to write, the functions are compiled in
-memory, with one warning. A full, damaged or read-only cache never stops a program; it costs compile
-time and one warning.
+The cache is in the package itself, where its installation has compiled; in ``$INSDVL_CACHE_DIR``;
+or in the user's cache folder. One that is filled may be read-only, as in an image. If there is none
+to read or to write, the functions are compiled in memory, with one warning. A full, damaged or
+read-only cache never stops a program; it costs compile time and one warning.
 
 Cached functions are executed, as are the files in Python's ``__pycache__``. A folder that belongs
-to another user or is world-writable is therefore not used.
+to another user than root, this one and the owner of the package, or is world-writable, is therefore
+not used.
 
 numba checks a cached function against its own source file only, not against the files of the
 functions that it calls. The name of a cache folder therefore contains a digest of the source file,
 of all files of this package that it imports, and of the versions of Python and numba. Editing
-another file recompiles nothing.
+another file recompiles nothing. It also names the processor: on another one the functions are
+compiled again, into a folder beside it.
 """
 
-import ast
 import contextlib
 import errno
 import hashlib
 import os
+import re
 import stat
 import sys
 import tempfile
@@ -37,10 +39,16 @@ from numba.core.caching import (
     NullCache,
     _CacheLocator,
 )
+from numba.core.registry import cpu_target
+from numba.core.runtime import rtsys
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 _PACKAGE = Path(__file__).parent
+
+#: Why functions are compiled, see `compiling`.
+FIRST = "once for this version on this computer"
+OTHER_PROCESSOR = "once more, because the compiled functions are for another processor"
 
 
 class CacheWarning(UserWarning):
@@ -51,7 +59,7 @@ class CacheWarning(UserWarning):
 class _Listener:
     """Who is told of a compilation, see `compiling`."""
 
-    begins: Callable[[], None]
+    begins: Callable[[str], None]
     warns: Callable[[str], None]
     began: float | None = None  # on the monotonic clock [s]
 
@@ -62,12 +70,13 @@ _warned: list[str] = []
 
 @contextlib.contextmanager
 def compiling(
-    begins: Callable[[], None], ends: Callable[[float], None], warns: Callable[[str], None]
+    begins: Callable[[str], None], ends: Callable[[float], None], warns: Callable[[str], None]
 ) -> Iterator[None]:
     """Tell of the compilation of functions that are called within and are not cached.
 
     Args:
-        begins: Called before the first of them is compiled; never if all are cached.
+        begins: Called before the first of them is compiled, with the reason, `FIRST` or
+            `OTHER_PROCESSOR`; never if all are cached.
         ends: Called at the end, with the time since then [s].
         warns: Called in the place of the warning about the cache.
     """
@@ -81,12 +90,12 @@ def compiling(
             ends(time.monotonic() - listener.began)
 
 
-def _tell_compilation() -> None:
-    """A function is about to be compiled."""
+def _tell_compilation(source: Path) -> None:
+    """A function of a file is about to be compiled."""
     for listener in _listeners:
         if listener.began is None:
             listener.began = time.monotonic()
-            listener.begins()
+            listener.begins(OTHER_PROCESSOR if _is_for_another_processor(source) else FIRST)
 
 
 def _warn_once(reason: str) -> None:
@@ -104,27 +113,28 @@ def _warn_once(reason: str) -> None:
         warnings.warn_explicit(text, CacheWarning, _PACKAGE.name, 0)
 
 
+#: A line that imports, and what. Reading the syntax tree instead takes a fifth of the start.
+_IMPORT = re.compile(r"^[ \t]*(?:from ([\w.]+) import (\([^)]*\)|.*)|import (.*))", re.MULTILINE)
+_NAME = re.compile(r"[\w.]+")
+
+
 @cache
 def _imported(source: Path) -> set[Path]:
     """Files of this package that a file imports directly."""
     found: set[Path] = set()
-    for node in ast.walk(ast.parse(source.read_bytes())):
-        if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
-            names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
-        else:
-            continue
-        for name in names:
+    for module, names, modules in _IMPORT.findall(source.read_text("utf-8")):
+        for name in _NAME.findall(modules or module):
             package, *path = name.split(".")
             if package != _PACKAGE.name:
                 continue
-            for file in (
-                _PACKAGE.joinpath(*path).with_suffix(".py") if path else None,
-                _PACKAGE.joinpath(*path, "__init__.py"),
-            ):
-                if file is not None and file.is_file():
-                    found.add(file)
+            folder = _PACKAGE.joinpath(*path)
+            if path and (file := folder.with_suffix(".py")).is_file():
+                found.add(file)
+            elif (file := folder / "__init__.py").is_file():
+                found.add(file)
+                parts = (folder / part for part in _NAME.findall(names))
+                inner = (file for p in parts for file in (p.with_suffix(".py"), p / "__init__.py"))
+                found.update(file for file in inner if file.is_file())
     return found
 
 
@@ -141,10 +151,15 @@ def source_digest(source: Path) -> str:
         waiting += new
     digest = hashlib.sha256()
     for file in sorted(reached | {Path(__file__)}):
-        name = file.relative_to(_PACKAGE) if file.is_relative_to(_PACKAGE) else Path(file.name)
-        digest.update(name.as_posix().encode())
-        digest.update(hashlib.sha256(file.read_bytes()).digest())
+        digest.update(_file_digest(file))
     return digest.hexdigest()[:16]
+
+
+@cache
+def _file_digest(file: Path) -> bytes:
+    """Digest of the name of a file in this package, and of its content."""
+    name = file.relative_to(_PACKAGE) if file.is_relative_to(_PACKAGE) else Path(file.name)
+    return hashlib.sha256(name.as_posix().encode() + b"\0" + file.read_bytes()).digest()
 
 
 def _user_cache_dir() -> Path | None:
@@ -157,23 +172,42 @@ def _user_cache_dir() -> Path | None:
         return None
 
 
+def _candidates(name: str) -> list[Path]:
+    """Folders of a name, the first choice first, that may hold compiled functions."""
+    named = os.environ.get("INSDVL_CACHE_DIR")
+    installed, user = _PACKAGE / "__pycache__" / name, _user_cache_dir()
+    return [
+        *([installed] if installed.is_dir() else []),
+        *([Path(named) / name] if named else []),
+        *([user / name] if user else []),
+    ]
+
+
+def _version(source: Path) -> str:
+    """What a folder's name says of the source, and of the versions of Python and numba."""
+    build = f"{sys.version} {numba.__version__} {source_digest(source)}"
+    return f"kernels-{hashlib.sha256(build.encode()).hexdigest()[:16]}"
+
+
+@cache
+def _processor() -> str:
+    """The same of the processor: its type and its features, as numba tells them or is told."""
+    target = " ".join(cpu_target.target_context.codegen().magic_tuple())
+    return hashlib.sha256(target.encode()).hexdigest()[:8]
+
+
 @cache
 def _folder(source: Path) -> tuple[Path | None, str]:
     """Folder for the compiled functions of a file; None, and why, if no folder is writable."""
-    named = os.environ.get("INSDVL_CACHE_DIR")
-    candidates = [Path(named)] if named else []
-    user = _user_cache_dir()
-    if user is not None:
-        candidates.append(user)
-    build = f"{sys.version} {numba.__version__} {source_digest(source)}"
-    name = f"kernels-{hashlib.sha256(build.encode()).hexdigest()[:16]}"
     reason = "no home folder"
-    for candidate in candidates:
-        folder = candidate / name
+    for folder in _candidates(f"{_version(source)}-{_processor()}"):
         try:
             folder.mkdir(mode=0o755, parents=True, exist_ok=True)
             status = folder.stat()
-            if status.st_uid not in (0, os.getuid()) or status.st_mode & stat.S_IWOTH:
+            if (
+                status.st_uid not in (0, os.getuid(), _PACKAGE.stat().st_uid)
+                or status.st_mode & stat.S_IWOTH
+            ):
                 raise PermissionError(errno.EPERM, "owned by another user or world-writable")
             try:
                 with tempfile.TemporaryFile(dir=folder):
@@ -187,6 +221,14 @@ def _folder(source: Path) -> tuple[Path | None, str]:
     return None, reason
 
 
+def _is_for_another_processor(source: Path) -> bool:
+    """Whether the functions of a file are compiled, but for other processors only."""
+    version = _version(source)
+    parents = {folder.parent for folder in _candidates(version)} | {_PACKAGE / "__pycache__"}
+    found = {f.parent.name for p in parents for f in p.glob(f"{version}-*/*.nbi")}
+    return bool(found) and f"{version}-{_processor()}" not in found
+
+
 def cache_dir(source: Path) -> Path | None:
     """Folder for the compiled functions of a file, or None if no folder is writable."""
     return _folder(source)[0]
@@ -195,12 +237,12 @@ def cache_dir(source: Path) -> Path | None:
 class _NoCache(NullCache):
     """Of a function that cannot be cached."""
 
-    def __init__(self, reason: str) -> None:
+    def __init__(self, source: Path, reason: str) -> None:
         super().__init__()
-        self._reason = reason
+        self._source, self._reason = source, reason
 
     def load_overload(self, sig: Any, target_context: Any) -> None:
-        _tell_compilation()
+        _tell_compilation(self._source)
         _warn_once(self._reason)
 
 
@@ -240,15 +282,22 @@ class _ForgivingCache(FunctionCache):
     _impl_class = _Implementation
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """The compiled function, or None.
+
+        As numba's own, but without declaring to the compiler all that can be compiled, which costs
+        more than to load what is: compiling declares it where it is needed. What a cached function
+        may call is what allocates arrays; kernels have no dictionaries or sets, which hash.
+        """
         found = None
         try:
-            found = super().load_overload(sig, target_context)
+            rtsys.initialize(target_context)
+            found = self._load_overload(sig, target_context)
         except Exception as error:  # unpickling a damaged file may raise anything
             _warn_once(f"damaged cache: {error!r}")
             with contextlib.suppress(OSError):  # saving fails in the same way and warns
                 self.flush()  # otherwise a damaged index would stay
         if found is None:
-            _tell_compilation()
+            _tell_compilation(Path(self._py_func.__code__.co_filename))
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
@@ -265,6 +314,7 @@ def kernel(function: _Function) -> _Function:
     Floating-point operations are never reordered, so results are reproducible to the bit.
     """
     dispatcher: Any = numba.njit(error_model="numpy", nogil=True)(function)
-    folder, reason = _folder(Path(function.__code__.co_filename))
-    dispatcher._cache = _NoCache(reason) if folder is None else _ForgivingCache(function)
+    source = Path(function.__code__.co_filename)
+    folder, reason = _folder(source)
+    dispatcher._cache = _NoCache(source, reason) if folder is None else _ForgivingCache(function)
     return cast(_Function, dispatcher)

@@ -58,7 +58,7 @@ from kernel_of_test import add, twice
 def say(*words):
     print(*words)
 with kernels.compiling(
-    lambda: say("begins"), lambda s: say("ends", s > 0.0), lambda text: say("warns", text)
+    lambda why: say("begins", why), lambda s: say("ends", s > 0.0), lambda text: say("warns", text)
 ):
     add(1.0, 2.0)
     twice(1.0)
@@ -223,7 +223,11 @@ def test_an_edit_is_another_digest_where_it_is_imported_and_nowhere_else(tmp_pat
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(text)
     monkeypatch.setattr(kernels, "_PACKAGE", package)
-    digest = kernels.source_digest.__wrapped__
+
+    def digest(file):
+        kernels._file_digest.cache_clear()
+        return kernels.source_digest.__wrapped__(file)
+
     before = digest(package / "near/first.py")
     (package / "far.py").write_text("x = 2")
     assert digest(package / "near/first.py") == before
@@ -255,6 +259,16 @@ tempfile.TemporaryFile = os.replace = refuse
 """
 
 
+def test_what_the_installation_compiled_comes_first(tmp_path, monkeypatch):
+    monkeypatch.setenv("INSDVL_CACHE_DIR", str(tmp_path / "named"))
+    monkeypatch.setattr(kernels, "_PACKAGE", tmp_path / "insdvl")
+    assert kernels._candidates("kernels-1")[0] == tmp_path / "named" / "kernels-1"
+    installed = tmp_path / "insdvl" / "__pycache__" / "kernels-1"
+    installed.mkdir(parents=True)
+    assert kernels._candidates("kernels-1")[:2] == [installed, tmp_path / "named" / "kernels-1"]
+    assert installed not in kernels._candidates("kernels-2")
+
+
 def test_a_filled_folder_may_be_read_only(run, tmp_path):
     """As in the image of a vehicle's computer."""
     run(INSDVL_CACHE_DIR=tmp_path / "cache")
@@ -273,14 +287,22 @@ def test_an_empty_folder_that_is_read_only_is_not_used(run, tmp_path):
 
 def test_a_compilation_is_told_once_and_only_where_one_is_needed(execute, tmp_path):
     first = execute(TELLING, INSDVL_CACHE_DIR=tmp_path / "cache")
-    assert first.stdout.splitlines() == ["begins", "ends True"]
+    assert first.stdout.splitlines() == [f"begins {kernels.FIRST}", "ends True"]
     assert execute(TELLING, INSDVL_CACHE_DIR=tmp_path / "cache").stdout == ""
+
+
+def test_another_processor_compiles_again_and_that_is_told(execute, tmp_path):
+    cache = tmp_path / "cache"
+    execute(TELLING, INSDVL_CACHE_DIR=cache, NUMBA_CPU_NAME="generic", NUMBA_CPU_FEATURES="")
+    here = execute(TELLING, INSDVL_CACHE_DIR=cache)
+    assert here.stdout.splitlines() == [f"begins {kernels.OTHER_PROCESSOR}", "ends True"]
+    assert execute(TELLING, INSDVL_CACHE_DIR=cache).stdout == ""
 
 
 def test_who_is_told_of_the_compilation_is_told_why_it_is_not_cached(execute):
     done = execute(TELLING, INSDVL_CACHE_DIR="/dev/null/named", HOME="/dev/null")
     begins, warns, ends = done.stdout.splitlines()
-    assert (begins, ends) == ("begins", "ends True")
+    assert (begins, ends) == (f"begins {kernels.FIRST}", "ends True")
     assert warns.startswith("warns compiled functions are not cached (/dev/null")
     assert done.stderr == ""
 

@@ -11,12 +11,17 @@ own, see `velocity_covariance` and dvl.py.
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from insdvl.arrays import Array
+from insdvl.arrays import Array, Stamps
+from insdvl.messages.cdr import imu_bytes
+from insdvl.messages.cdr.imu_bytes import ImuColumns
 from insdvl.navigation.events import (
+    MAX_ACCELERATION,
+    MAX_RATE,
     MAX_VARIANCE,
     NS,
     Imu,
@@ -198,9 +203,64 @@ def imu(message: Any, convention: Convention) -> Imu:
             raise RejectedMessage("no_data", f"{name}_covariance[0] is -1")
     return Imu(
         stamp_ns=sensor_stamp_ns(message.header),
-        f_b=convention.body @ vector(message.linear_acceleration, "linear_acceleration"),
-        w_ib_b=convention.body @ vector(message.angular_velocity, "angular_velocity"),
+        f_b=_in_body(vector(message.linear_acceleration, "linear_acceleration"), convention),
+        w_ib_b=_in_body(vector(message.angular_velocity, "angular_velocity"), convention),
     )
+
+
+def _in_body(vectors: Array, convention: Convention) -> Array:
+    """Vectors (..., 3) of the stream, forward-right-down; the same bits for any number of them.
+
+    The axes differ in signs only. The sum makes zero of minus zero.
+    """
+    return np.asarray(np.diagonal(convention.body) * vectors + 0.0)
+
+
+class ImuSamples(NamedTuple):
+    """The samples of N messages, as `imu` gives one.
+
+    Attributes:
+        frame_ids: Those that occur, with their numbers.
+        frames: (N,) number of each message's frame_id.
+        stamps_ns: (N,) stamps.
+        f_b: (N, 3) specific force [m/s^2].
+        w_ib_b: (N, 3) angular rate [rad/s].
+        usable: (N,) whether a message is a sample that `imu` converts and `events.refusal` lets
+            pass. What is wrong with the others, these two tell.
+        oriented: (N,) whether `orientation` may find one in a message.
+    """
+
+    frame_ids: dict[str, int]
+    frames: NDArray[np.intp]
+    stamps_ns: Stamps
+    f_b: Array
+    w_ib_b: Array
+    usable: NDArray[np.bool_]
+    oriented: NDArray[np.bool_]
+
+
+def imu_samples(messages: ImuColumns, convention: Convention, heading_std: float) -> ImuSamples:
+    """The samples of many messages.
+
+    Args:
+        messages: The messages.
+        convention: Of their axes.
+        heading_std: See `orientation`.
+    """
+    stamps_ns = messages.seconds.astype(np.int64) * NS + messages.nanoseconds
+    usable = messages.fits & (messages.seconds >= 0) & (messages.nanoseconds < NS)
+    usable &= stamps_ns > 0
+    f = messages.numbers[:, imu_bytes.LINEAR_ACCELERATION]
+    w = messages.numbers[:, imu_bytes.ANGULAR_VELOCITY]
+    for triad, limit in (f, MAX_ACCELERATION), (w, MAX_RATE):
+        usable &= (np.abs(triad) <= limit).all(axis=1)  # nan is not
+    for columns in imu_bytes.LINEAR_ACCELERATION_COVARIANCE, imu_bytes.ANGULAR_VELOCITY_COVARIANCE:
+        usable &= messages.numbers[:, columns.start] != -1.0
+    variances = messages.numbers[:, imu_bytes.ORIENTATION_COVARIANCE]
+    oriented = ~(variances[:, 0] < 0.0) & ((variances[:, 8] != 0.0) | (heading_std != 0.0))
+    f_b, w_ib_b = (_in_body(triad, convention) for triad in (f, w))
+    frames = messages.frame_ids, messages.frames
+    return ImuSamples(*frames, stamps_ns, f_b, w_ib_b, usable, oriented)
 
 
 def orientation(message: Any, convention: Convention, heading_std: float) -> Orientation | None:

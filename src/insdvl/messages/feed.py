@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from insdvl.messages.convert import RejectedMessage
+from insdvl.messages.convert import ImuSamples, RejectedMessage
 from insdvl.messages.inputs import Inputs
 from insdvl.messages.refusals import Refused
 from insdvl.messages.topics import IMU, taken
@@ -89,6 +89,25 @@ class Feed:
         if len(self.fold.left) > times_left:  # a time jump
             self.inputs.reset()
         return fed
+
+    def give_samples(self, topic: str, samples: ImuSamples, part: slice) -> int:
+        """Give the filter many messages of the IMU at once; to the same state as by `give`.
+
+        Args:
+            topic: Of the IMU.
+            samples: See `Inputs.imu_samples`.
+            part: Which of them follow.
+
+        Returns:
+            How many of the first it has taken. The next one must be given by `give`.
+        """
+        count = self.inputs.sample_count(topic, samples, part)
+        count = self.fold.following(samples.stamps_ns[part.start : part.start + count])
+        if count:
+            taken = slice(part.start, part.start + count)
+            arrays = samples.stamps_ns[taken], samples.f_b[taken], samples.w_ib_b[taken]
+            self.fold.add_samples(*arrays)
+        return count
 
     def reset(self) -> bool:
         """Start again, with the origin of odom as it is; see `Fold.reset`."""

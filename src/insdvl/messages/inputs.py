@@ -9,9 +9,14 @@ from dataclasses import replace
 from operator import attrgetter
 from typing import Any
 
-from insdvl.messages.convert import RejectedMessage
-from insdvl.messages.topics import Topic, ZeroStamp, taken
+import numpy as np
+
+from insdvl.messages import convert
+from insdvl.messages.cdr.imu_bytes import ImuColumns
+from insdvl.messages.convert import ImuSamples, RejectedMessage
+from insdvl.messages.topics import Topic, ZeroStamp, orientation_sigma, taken
 from insdvl.navigation.events import NS, Event, Imu, Measurement, Orientation
+from insdvl.navigation.geometry.frames import CONVENTIONS
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.state import NEVER
 from insdvl.parameters.declaration import check_map
@@ -128,6 +133,37 @@ class Inputs:
             if self._unstamped is not None and isinstance(event, Imu):
                 yield replace(self._unstamped, stamp_ns=event.stamp_ns)
                 self._unstamped = None
+
+    def imu_samples(self, topic: str, messages: ImuColumns) -> ImuSamples:
+        """Many messages of the IMU, as `events` converts each of them."""
+        parameters, offset_ns = self._parameters, self._offsets_ns[topic]
+        convention = CONVENTIONS[parameters.frame_convention]
+        samples = convert.imu_samples(messages, convention, orientation_sigma(parameters))
+        stamps_ns = samples.stamps_ns + offset_ns
+        return samples._replace(stamps_ns=stamps_ns, usable=samples.usable & (stamps_ns >= 0))
+
+    def sample_count(self, topic: str, samples: ImuSamples, part: slice) -> int:
+        """How many of the first of some messages of the IMU are samples for `events` and no more.
+
+        None are before the first message, after a change of the frame_id, or while a message may
+        hold other events as well.
+
+        Args:
+            topic: Of the IMU.
+            samples: Of messages of that topic.
+            part: Which of them follow.
+        """
+        row, parameters, frame_id = self.topics[topic], self._parameters, self.frame_ids.get(topic)
+        if row.measurement or parameters.process_noise.source == "message":
+            return 0
+        if self._unstamped is not None or frame_id not in samples.frame_ids:
+            return 0
+        if any(expected != frame_id for _, _, expected in self._frames[topic]):
+            return 0
+        fit = samples.usable[part] & (samples.frames[part] == samples.frame_ids[frame_id])
+        if parameters.initial.takes_orientation and not self.initial_done:
+            fit &= ~samples.oriented[part]
+        return len(fit) if fit.all() else int(np.argmin(fit))
 
     def _is_initial_done(self, fold: Fold) -> bool:
         """Decide `initial_done`: the fold has started, and max_delay has passed since.

@@ -132,12 +132,15 @@ def _convention(parameters: FilterParameters) -> Convention:
     return CONVENTIONS[parameters.frame_convention]
 
 
+def orientation_sigma(parameters: FilterParameters) -> float:
+    """One sigma of a heading of the IMU whose own is unknown [rad]; zero leaves such a one out."""
+    return parameters.initial.heading_std if parameters.initial.heading == "imu" else 0.0
+
+
 def _imu(message: Any, parameters: FilterParameters) -> Iterator[Event]:
     yield convert.imu(message, _convention(parameters))
-    start = parameters.initial
-    if start.takes_orientation:
-        # Told to use it, the parameter's sigma stands for an unknown one.
-        sigma = start.heading_std if start.heading == "imu" else 0.0
+    if parameters.initial.takes_orientation:
+        sigma = orientation_sigma(parameters)
         orientation = convert.orientation(message, _convention(parameters), sigma)
         if orientation is not None:
             yield orientation

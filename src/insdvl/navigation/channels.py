@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from insdvl.arrays import Array
+from insdvl.arrays import Array, Stamps
 from insdvl.kernels import kernel
 from insdvl.navigation.geometry.rotation import rotate_back
 from insdvl.navigation.prediction import strapdown
@@ -336,9 +336,18 @@ def watch(s: State, c: Constants, sample_ns: int, reading: Array) -> None:
     counters.no_data += channels.verdict[0] == NO_DATA
 
 
+@kernel
+def any_unseen(unseen_ns: Stamps) -> bool:
+    """Whether a channel of the IMU is saturated, frozen or not believed, by ``unseen_ns`` (6,)."""
+    count = 0
+    for i in range(6):
+        count += unseen_ns[i] != NEVER
+    return count > 0
+
+
 def in_doubt(s: State) -> bool:
     """Whether a channel of the IMU is saturated, frozen or not believed."""
-    return bool((s["channels"]["unseen_ns"] != NEVER).any())
+    return any_unseen(s["channels"]["unseen_ns"])
 
 
 def seen_rate(s: State, c: Constants, w_ib_b: Array) -> tuple[Array, Array]:

@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array
 from insdvl.kernels import kernel
-from insdvl.navigation.error_state import ATTITUDE, POSITION, VELOCITY
+from insdvl.navigation.error_state import ATTITUDE, POSITION, VELOCITY, set_block
 from insdvl.navigation.geometry import earth
 from insdvl.navigation.geometry.rotation import (
     about_down,
@@ -33,6 +33,7 @@ from insdvl.navigation.geometry.rotation import (
     orthonormalise,
     product,
     rotate,
+    skew,
 )
 from insdvl.navigation.state import CORE, Constants, State
 
@@ -88,33 +89,34 @@ def inject(s: State, c: Constants, dx: Array) -> None:
         s.counters.beyond_latitude += 1
     # The errors of velocity, tilt and position are told in the axes of the estimated heading.
     for block in (_V, _A, _P):
-        turn_block(nav.P, block, heading)
+        turn_block(nav.P, block, heading, dx.shape[0])
     north, east = nav.bend_n[0], nav.bend_n[1]
     nav.bend_n[0] = heading[0, 0] * north + heading[0, 1] * east
     nav.bend_n[1] = heading[1, 0] * north + heading[1, 1] * east
 
 
 @kernel
-def turn_block(P: Array, block: int, R: Array) -> None:
-    """P (N, N) with the three states from ``block`` on in turned axes, R (3, 3), in place."""
+def turn_block(P: Array, block: int, R: Array, n: int) -> None:
+    """P (n, n) with the three states from ``block`` on in turned axes, R (3, 3), in place."""
     a, turned = np.empty(3), np.empty(3)
-    for j in range(P.shape[0]):
+    for j in range(n):
         for i in range(3):
             a[i] = P[block + i, j]
         rotate(turned, R, a)
         for i in range(3):
             P[block + i, j] = turned[i]
-    for i in range(P.shape[0]):
+    for i in range(n):
         for j in range(3):
             a[j] = P[i, block + j]
         rotate(turned, R, a)
         for j in range(3):
             P[i, block + j] = turned[j]
     for i in range(3):  # the sums of two mirrored elements are rounded in different orders
-        for j in range(P.shape[0]):
+        for j in range(n):
             P[j, block + i] = P[block + i, j]
 
 
+@kernel
 def remaining(dx: Array) -> Array:
     """Errors of the corrected state by those before, for `invariant`: Jacobian (n, n) of both.
 
@@ -124,12 +126,16 @@ def remaining(dx: Array) -> Array:
     Args:
         dx: (n,) the correction.
     """
-    R_h, T = np.empty((3, 3)), np.eye(len(dx))
+    R_h, d_x, turned = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    T = np.eye(len(dx))
     about_down(R_h, dx[_A + 2])
-    T[ATTITUDE, ATTITUDE] = R_h
-    for block in (VELOCITY, POSITION):
-        T[block, block] = R_h
-        T[block, _A : _A + 2] = (R_h @ cross_matrix(dx[block]))[:, :2]
+    set_block(T, _A, _A, 1.0, R_h)
+    for block in (_V, _P):
+        skew(d_x, dx[block : block + 3])
+        product(turned, R_h, d_x)
+        set_block(T, block, block, 1.0, R_h)
+        for i in range(3):
+            T[block + i, _A], T[block + i, _A + 1] = turned[i, 0], turned[i, 1]
     return T
 
 

@@ -17,7 +17,7 @@ from insdvl.navigation.geometry.rotation import (
     product_transposed,
     skew,
 )
-from insdvl.navigation.state import CORE, Constants, State, Workspace
+from insdvl.navigation.state import CORE, PADDED, Constants, State, Workspace
 
 #: State map. The published filter is the first twelve.
 VELOCITY = slice(0, 3)  # m/s
@@ -173,29 +173,38 @@ def dynamics(w: Workspace, c: Constants) -> None:
 @kernel
 def discretise(w: Workspace, c: Constants, dt: float) -> None:
     """Phi = I + F dt + (F dt)^2 / 2 into ``w.Phi``; optional states decay exactly."""
-    F, Phi = w.F, w.Phi
+    Phi, Phi_T = w.Phi, w.Phi_T
     for i in range(_F):
-        _transition_row(Phi, F, i, dt)
+        _transition_row(w, i, dt)
         Phi[i, i] += 1.0
     for i in range(_F, _P):
         Phi[i, i] = 1.0
     for i in range(_P, CORE):
-        _transition_row(Phi, F, i, dt)
+        _transition_row(w, i, dt)
         Phi[i, i] = 1.0
     for i in range(CORE, c.n):
         Phi[i, i] = np.exp(-c.decay[i - CORE] * dt)
-    for i in range(CORE):
-        for j in range(CORE):
-            w.Phi_T[i, j] = Phi[j, i]
+    for j in range(_P):  # the columns of the biases are not needed
+        for i in range(_F):
+            Phi_T[j, i] = Phi[i, j]
+        for i in range(_P, CORE):
+            Phi_T[j, i] = Phi[i, j]
 
 
 @kernel
-def _transition_row(Phi: Array, F: Array, i: int, dt: float) -> None:
+def _transition_row(w: Workspace, i: int, dt: float) -> None:
     """Row i of F dt + (F dt)^2 / 2; only the velocity and attitude rows of F enter its square."""
-    for j in range(_P):
-        square = 0.0
-        for k in range(_F):
-            square += F[i, k] * F[k, j]
+    F, Phi = w.F, w.Phi
+    f_0, f_1, f_2, f_3, f_4, f_5 = F[i, 0], F[i, 1], F[i, 2], F[i, 3], F[i, 4], F[i, 5]
+    for j in range(PADDED):
+        square = (
+            f_0 * F[0, j]
+            + f_1 * F[1, j]
+            + f_2 * F[2, j]
+            + f_3 * F[3, j]
+            + f_4 * F[4, j]
+            + f_5 * F[5, j]
+        )
         Phi[i, j] = dt * (F[i, j] + 0.5 * dt * square)
 
 
@@ -250,39 +259,97 @@ def input_noise(s: State, w: Workspace, c: Constants, Q_f: Array, Q_w: Array, dt
 def propagate(P: Array, w: Workspace, n: int) -> None:
     """P <- Phi (P + Q_d / 2) Phi^T + Q_d / 2, in place: second order in the step, symmetric.
 
-    Phi is the identity in the bias rows. So A = Phi (P + Q_d / 2) has the covariance with a bias
-    already, and only velocity, attitude and position need the second product, A Phi^T. The
-    loops over the fifteen states have a fixed length, which lets the compiler unroll them.
+    Phi is the identity in the bias rows. So A = Phi B, B = P + Q_d / 2, has the covariance with a
+    bias already, and only velocity, attitude and position need the second product, A Phi^T. All
+    matrices of the products are in the workspace: there the compiler knows where their rows are.
     """
-    A, Q_d = w.A, w.Q_d
+    A, B, Q_d = w.A, w.B, w.Q_d
     for i in range(CORE):
-        for j in range(CORE):
-            P[i, j] += 0.5 * Q_d[i, j]
+        for j in range(PADDED):
+            B[i, j] = P[i, j] + 0.5 * Q_d[i, j]
     for i in range(_F):
-        for j in range(CORE):
-            A[i, j] = _combination(w.Phi, i, P, j)
+        _row_of_first(w, i)
     for i in range(_P, CORE):
-        for j in range(CORE):
-            A[i, j] = _combination(w.Phi, i, P, j) + P[i, j]
+        _row_of_first(w, i)
+        for j in range(PADDED):
+            A[i, j] += B[i, j]
 
     if n > CORE:
         _propagate_optional(P, w, n)
 
+    for i in range(_F, _P):
+        for j in range(_F, _P):
+            P[i, j] = B[i, j] + 0.5 * Q_d[i, j]
     for i in range(_F):
+        _row_of_second(w, i)
         for j in range(i + 1):
-            _set_symmetric(P, i, j, _combination(A, i, w.Phi_T, j) + 0.5 * Q_d[i, j])
+            _set_symmetric(P, i, j, B[i, j] + 0.5 * Q_d[i, j])
         for j in range(_F, _P):
             _set_symmetric(P, i, j, A[i, j] + 0.5 * Q_d[i, j])
     for i in range(_P, CORE):
+        _row_of_second(w, i)
         for j in range(_F):
-            _set_symmetric(P, i, j, _combination(A, i, w.Phi_T, j) + 0.5 * Q_d[i, j])
+            _set_symmetric(P, i, j, B[i, j] + 0.5 * Q_d[i, j])
         for j in range(_F, _P):
             _set_symmetric(P, i, j, A[i, j] + 0.5 * Q_d[i, j])
         for j in range(_P, i + 1):
-            _set_symmetric(P, i, j, _combination(A, i, w.Phi_T, j) + A[i, j] + 0.5 * Q_d[i, j])
-    for i in range(_F, _P):
-        for j in range(_F, _P):
-            P[i, j] += 0.5 * Q_d[i, j]
+            _set_symmetric(P, i, j, B[i, j] + A[i, j] + 0.5 * Q_d[i, j])
+
+
+# The twelve coefficients of a row are read once, and a row has whole registers of the processor.
+
+
+@kernel
+def _row_of_first(w: Workspace, i: int) -> None:
+    """A[i] = sum over k of Phi[i, k] B[k], for k up to the last bias."""
+    A, B, Phi = w.A, w.B, w.Phi
+    c_0, c_1, c_2, c_3, c_4, c_5 = Phi[i, 0], Phi[i, 1], Phi[i, 2], Phi[i, 3], Phi[i, 4], Phi[i, 5]
+    c_6, c_7, c_8, c_9, c_10, c_11 = (
+        Phi[i, 6],
+        Phi[i, 7],
+        Phi[i, 8],
+        Phi[i, 9],
+        Phi[i, 10],
+        Phi[i, 11],
+    )
+    for j in range(PADDED):
+        A[i, j] = (
+            c_0 * B[0, j]
+            + c_1 * B[1, j]
+            + c_2 * B[2, j]
+            + c_3 * B[3, j]
+            + c_4 * B[4, j]
+            + c_5 * B[5, j]
+            + c_6 * B[6, j]
+            + c_7 * B[7, j]
+            + c_8 * B[8, j]
+            + c_9 * B[9, j]
+            + c_10 * B[10, j]
+            + c_11 * B[11, j]
+        )
+
+
+@kernel
+def _row_of_second(w: Workspace, i: int) -> None:
+    """B[i] = sum over k of A[i, k] Phi_T[k], for k up to the last bias."""
+    A, B, Phi_T = w.A, w.B, w.Phi_T
+    c_0, c_1, c_2, c_3, c_4, c_5 = A[i, 0], A[i, 1], A[i, 2], A[i, 3], A[i, 4], A[i, 5]
+    c_6, c_7, c_8, c_9, c_10, c_11 = A[i, 6], A[i, 7], A[i, 8], A[i, 9], A[i, 10], A[i, 11]
+    for j in range(PADDED):
+        B[i, j] = (
+            c_0 * Phi_T[0, j]
+            + c_1 * Phi_T[1, j]
+            + c_2 * Phi_T[2, j]
+            + c_3 * Phi_T[3, j]
+            + c_4 * Phi_T[4, j]
+            + c_5 * Phi_T[5, j]
+            + c_6 * Phi_T[6, j]
+            + c_7 * Phi_T[7, j]
+            + c_8 * Phi_T[8, j]
+            + c_9 * Phi_T[9, j]
+            + c_10 * Phi_T[10, j]
+            + c_11 * Phi_T[11, j]
+        )
 
 
 @kernel

@@ -4,12 +4,14 @@ A `Filter` holds what never changes; all that does is in a state record (state.p
 methods advance in place. `timeline.fold.Fold` decides the order in which they are called.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from insdvl.arrays import Array, Records, Stamps
+from insdvl.kernels import kernel
 from insdvl.navigation import channels, coordinates, error_state, kalman, map_to_odom
 from insdvl.navigation.error_state import ATTITUDE, HORIZONTAL_POSITION
 from insdvl.navigation.events import (
@@ -48,6 +50,21 @@ LAYOUT = layout(
 )
 _NO_SAMPLES = np.empty((0, 6))
 _HEADING = ATTITUDE.stop - 1
+
+
+@kernel
+def _turn_noise(state: Records, constants: Records, share: Array, covariance: Array) -> bool:
+    """Covariance (3, 3) of a rate whose variance is ``share`` (3,) times that of one sample.
+
+    Returns:
+        Whether a channel of the IMU is in doubt.
+    """
+    s, c = state[0], constants[0]
+    for i in range(3):
+        for j in range(3):
+            of_sample = s.noise.Q_w[i, j] * (c.density * c.rate)
+            covariance[i, j] = of_sample * math.sqrt(share[i] * share[j])
+    return channels.any_unseen(s.channels.unseen_ns)
 
 
 class Filter:
@@ -224,7 +241,7 @@ class Filter:
 
     def sample_variance(self, state: Records) -> Array:
         """Variance (3,) of one sample of the angular rate [(rad/s)^2], base_link axes."""
-        return np.diag(sample_variance_w(state[0], self.vehicle)).copy()
+        return sample_variance_w(state[0], self.vehicle).diagonal().copy()
 
     def hear_orientation(self, state: Records, event: Orientation) -> None:
         """An IMU tells its attitude, which only a filter that has not started needs."""
@@ -252,11 +269,11 @@ class Filter:
                 that claims a vehicle at rest asks for them.
         """
         s, model, gate = state[0], self.models[event.name], self._gates[event.name]
-        memory, stamp_ns = s["gate"][event.name], event.stamp_ns
+        memory, stamp_ns = state["gate"][event.name][0], event.stamp_ns
         if stamp_ns - int(memory["judged_ns"]) < model.interval_ns:
             return None
         reason = claims.refusal(memory, model, event)
-        turn, linearised = self._turn(s, w_ib_b, share), None
+        turn, linearised = self._turn(state, w_ib_b, share), None
         if not s["nav"]["initialised"]:
             if not reason and (velocity := model.velocity(event, turn)) is not None:
                 self.start.hear_velocity(s, stamp_ns, *velocity)
@@ -270,18 +287,17 @@ class Filter:
         if reason or linearised is None:
             nan = np.full((model.rows, model.rows), np.nan)
             return UpdateReport(event.name, nan[0], nan, np.nan, False, reason)
-        R = gate.doubted(s, stamp_ns, linearised.R)
-        now = kalman.innovate(s["nav"]["P"], linearised.z_minus_h, linearised.H, R)
-        if not np.isfinite(now.nis):
-            reason = "bad_covariance" if np.isnan(now.nis) else "not_finite"
+        now, accepted = gate.meet(state, stamp_ns, linearised)
+        if not math.isfinite(now.nis):
+            reason = "bad_covariance" if math.isnan(now.nis) else "not_finite"
             return self._report(event, now, False, reason)
-        was = map_to_odom.before(s, self.vehicle, absolute=model.absolute)
-        shown.advance(s, self.vehicle, stamp_ns)
-        used, accepted, reason = gate.judge(s, stamp_ns, now, linearised.R)
+        was, used = map_to_odom.before(s, self.vehicle, absolute=model.absolute), now
+        if not accepted:
+            used, accepted, reason = gate.judge(state, stamp_ns, now, linearised.R)
         report = self._report(event, now, accepted, reason)
         if report.corrected:
             self._correct(state, event, turn, used)
-        map_to_odom.moved(s, self.vehicle, was)
+        map_to_odom.moved(state, self.vehicle, was)
         memory["judged_ns"] = stamp_ns
         return report
 
@@ -289,21 +305,20 @@ class Filter:
         s, model, stamp_ns = state[0], self.models[event.name], event.stamp_ns
         if model.tells_velocity:
             now = self.process_noise.before_correction(s, now)
-        heading = float(s["nav"]["P"][_HEADING, _HEADING])
+        invariant, heading = self.vehicle.invariant, s["nav"]["P"][_HEADING, _HEADING]
         K, left = kalman.correct(
             state,
             self.constants,
             now,
             lambda: model.linearise(state, event, turn),
-            iterate=self.vehicle.invariant,
+            iterate=invariant,
         )
-        if self.vehicle.invariant and now.H[:, HORIZONTAL_POSITION].any():
+        if invariant and kalman.tells(now.H, HORIZONTAL_POSITION.start, HORIZONTAL_POSITION.stop):
             coordinates.move_reference(s)
-        if self.vehicle.invariant and self.parameters.earth_rate and model.angles:
+        if invariant and self.parameters.earth_rate and model.angles:
             bias = self.parameters.initial.gyroscope_bias_std**2
-            error_state.take_earth_rate_from_bias(s, heading, bias)
-        shown.corrected(s, K, now.H)
-        self._gates[event.name].accept(s, stamp_ns, left)
+            error_state.take_earth_rate_from_bias(s, float(heading), bias)
+        self._gates[event.name].accept(state, stamp_ns, now.H, K, left)
         if model.tells_velocity:
             judged_ns = s["gate"][event.name]["judged_ns"]
             seconds = (stamp_ns - int(judged_ns)) / NS if judged_ns != NEVER else np.nan
@@ -311,13 +326,16 @@ class Filter:
 
     @staticmethod
     def _report(event: Measurement, now: Innovated, accepted: bool, reason: str) -> UpdateReport:
-        S = np.where(np.diag(~now.measured), np.inf, now.S)
+        S = now.S
+        if now.rows < len(S):
+            S = np.where(np.diag(~now.measured), np.inf, S)
         return UpdateReport(event.name, now.innovation, S, now.nis, accepted, reason)
 
-    def _turn(self, s: State, w_ib_b: Array, share: Array | float) -> Turn:
+    def _turn(self, state: Records, w_ib_b: Array, share: Array | float) -> Turn:
         """The turn rate at a measurement, and what is not known of it."""
-        covariance = sample_variance_w(s, self.vehicle) * np.sqrt(np.outer(share, share))
-        if channels.in_doubt(s):
-            w_ib_b, unseen = channels.seen_rate(s, self.constants[0], w_ib_b)
+        covariance, shares = np.empty((3, 3)), np.empty(3)
+        shares[:] = share
+        if _turn_noise(state, self.constants, shares, covariance):
+            w_ib_b, unseen = channels.seen_rate(state[0], self.constants[0], w_ib_b)
             covariance = covariance + unseen
         return Turn(w_ib_b, covariance)

@@ -7,6 +7,7 @@ What a measurement is, where it comes from and whether it is believed is decided
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from insdvl.navigation import coordinates
 from insdvl.navigation.error_state import ATTITUDE, POSITION, VELOCITY
 from insdvl.navigation.geometry.rotation import exponential, rotate
 from insdvl.navigation.measurements.base import Linearised
+from insdvl.navigation.state import copied, copy_records
 
 #: An update is iterated where h bends by the mean sigma of R, and by a part from half of it on.
 _BEND = 1.0  # (sigma)^2
@@ -31,8 +33,7 @@ _V, _A, _DOWN = VELOCITY.start, ATTITUDE.start, 2
 _LEAST_PIVOT = 1e-10
 
 
-@dataclass(frozen=True)
-class Innovated:
+class Innovated(NamedTuple):
     """A measurement against the filter's prediction of it.
 
     Attributes:
@@ -42,6 +43,7 @@ class Innovated:
         S: (m, m) covariance of the innovation, H P H^T + R.
         K: (n, m) gain P H^T S^-1.
         nis: Normalised innovation squared, nu^T S^-1 nu; nan where S is not positive definite.
+        rows: Number of components that were measured: the degrees of freedom of the NIS.
     """
 
     innovation: Array
@@ -50,16 +52,12 @@ class Innovated:
     S: Array
     K: Array
     nis: float
+    rows: int
 
     @property
     def measured(self) -> NDArray[np.bool_]:
         """(m,) which components were measured; those that were not have a row of zeros in H."""
         return np.asarray(self.H.any(axis=1))
-
-    @property
-    def rows(self) -> int:
-        """Number of components that were measured: the degrees of freedom of the NIS."""
-        return int(np.count_nonzero(self.measured))
 
 
 def innovate(P: Array, z_minus_h: Array, H: Array, R: Array) -> Innovated:
@@ -73,12 +71,40 @@ def innovate(P: Array, z_minus_h: Array, H: Array, R: Array) -> Innovated:
     """
     m, n = H.shape
     S, K = np.empty((m, m)), np.empty((n, m))
-    nis = _gain(P, H, R, z_minus_h, S, K)
-    return Innovated(z_minus_h, H, R, S, K, nis)
+    nis = gain(P, H, R, z_minus_h, S, K)
+    return Innovated(z_minus_h, H, R, S, K, nis, rows_of(H))
 
 
 @kernel
-def _gain(P: Array, H: Array, R: Array, nu: Array, S: Array, K: Array) -> float:
+def is_measured(H: Array, a: int) -> bool:
+    """Whether row a of a Jacobian (m, n) is not one of zeros."""
+    count = 0
+    for i in range(H.shape[1]):
+        count += H[a, i] != 0.0
+    return count > 0
+
+
+@kernel
+def rows_of(H: Array) -> int:
+    """Number of components that were measured, by the Jacobian (m, n)."""
+    rows = 0
+    for a in range(H.shape[0]):
+        rows += is_measured(H, a)
+    return rows
+
+
+@kernel
+def tells(H: Array, first: int, last: int) -> bool:
+    """Whether a Jacobian (m, n) has any of the error states first <= i < last."""
+    for a in range(H.shape[0]):
+        for i in range(first, last):
+            if H[a, i] != 0.0:
+                return True
+    return False
+
+
+@kernel
+def gain(P: Array, H: Array, R: Array, nu: Array, S: Array, K: Array) -> float:
     """S = H P H^T + R and K = P H^T S^-1; returns nu^T S^-1 nu, or nan."""
     m, n = H.shape
     PHt = np.empty((n, m))
@@ -151,30 +177,63 @@ def _inverse(S: Array, S_inv: Array) -> bool:
 
 
 @kernel
-def _joseph(P: Array, H: Array, K: Array, R: Array) -> None:
-    """P <- (I - K H) P (I - K H)^T + K R K^T, in place."""
-    m, n = H.shape
-    A, B = np.empty((n, n)), np.empty((n, n))
-    for i in range(n):
-        for j in range(n):
+def _remainder(K: Array, H: Array) -> Array:
+    """I - K H (n, n)."""
+    B = np.eye(len(K))
+    for i in range(len(K)):
+        for j in range(len(K)):
             total = 0.0
-            for a in range(m):
+            for a in range(len(H)):
                 total += K[i, a] * H[a, j]
-            B[i, j] = (1.0 if i == j else 0.0) - total
+            B[i, j] -= total
+    return B
+
+
+@kernel
+def joseph(P: Array, P_0: Array, B: Array, K: Array, R: Array) -> None:
+    """P = B P_0 B^T + K R K^T, symmetric; P may be P_0.
+
+    Most columns of B are those of the identity: the measurement has nothing of these states. The
+    products go from row to row and leave them out, which changes no bit.
+
+    Args:
+        P: (N, N) result, in its first n rows and columns.
+        P_0: (N, N) covariance at the prediction.
+        B: (n, n) Jacobian of the errors behind the correction by those before, I - K H.
+        K: (n, m) gain.
+        R: (m, m) covariance of the measurement noise.
+    """
+    n, m = K.shape
+    is_full, B_T, A = np.zeros(n, np.bool_), np.empty((n, n)), np.zeros((n, n))
+    row, of_R = np.empty(n), np.empty(m)
+    for k in range(n):
+        for i in range(n):
+            B_T[k, i] = B[i, k]
+            if B[i, k] != (1.0 if i == k else 0.0):
+                is_full[k] = True
     for i in range(n):
-        for j in range(n):
-            total = 0.0
-            for k in range(n):
-                total += B[i, k] * P[k, j]
-            A[i, j] = total
+        for k in range(n):
+            if is_full[k] or i == k:
+                b = B[i, k]
+                for j in range(n):
+                    A[i, j] += b * P_0[k, j]
     for i in range(n):
-        for j in range(i + 1):
-            total = 0.0
-            for k in range(n):
-                total += A[i, k] * B[j, k]
+        row[:] = 0.0
+        for k in range(n):
+            a = A[i, k]
+            if is_full[k]:
+                for j in range(n):
+                    row[j] += a * B_T[k, j]
+            else:
+                row[k] += a
+        for b in range(m):
+            of_R[b] = 0.0
             for a in range(m):
-                for b in range(m):
-                    total += K[i, a] * R[a, b] * K[j, b]
+                of_R[b] += K[i, a] * R[a, b]
+        for j in range(i + 1):
+            total = row[j]
+            for b in range(m):
+                total += of_R[b] * K[j, b]
             P[i, j] = total
             P[j, i] = total
 
@@ -208,14 +267,14 @@ def _correct(
             total += K[i, a] * innovation[a]
         dx[i] = total
     P = state[0].nav.P
-    _joseph(P, H, K, R)
+    joseph(P, P, _remainder(K, H), K, R)
     if product:
         turn, scratch, dv = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
         exponential(turn, scratch, dx[_A], dx[_A + 1], 0.0)
         for i in range(3):
             dv[i] = dx[_V + i] - mean[i]
         rotate(dx[_V : _V + 3], turn, dv)
-        coordinates.turn_block(P, _V, turn)
+        coordinates.turn_block(P, _V, turn, n)
     _inject(state, constants, dx)
 
 
@@ -256,7 +315,11 @@ class _Iteration:
         relinearise: Callable[[], Linearised],
     ) -> None:
         self._state, self._constants, self._relinearise = state, constants, relinearise
-        self._before, self._next = state.copy(), prior
+        self._before, self._next = copied(state), prior
+
+    def go_back(self) -> None:
+        """The state is the prior again."""
+        copy_records(self._state, self._before)
 
     @property
     def can_go_on(self) -> bool:
@@ -266,8 +329,8 @@ class _Iteration:
     def step(self) -> _Step:
         """The next correction."""
         now, state = self._next, self._state
-        n, R, P_0 = len(now.K), now.R, self._before["nav"]["P"][0]
-        state[:] = self._before
+        R, P_0 = now.R, self._before["nav"]["P"][0]
+        self.go_back()
         dx = now.K @ now.innovation
         _correct(state, self._constants, now.H, now.K, R, now.innovation, np.zeros(3), False)
         again, T = self._relinearise(), coordinates.remaining(dx)
@@ -276,10 +339,10 @@ class _Iteration:
         self._next = innovate(P_0, again.z_minus_h + H @ dx, H, R)
         there = self._next if self.can_go_on else now
         # Joseph form with T inside, where large numbers cancel before they are squared.
-        A, B = T @ (np.eye(n) - there.K @ there.H), T @ there.K
-        P = A @ P_0[:n, :n] @ A.T + B @ R @ B.T
+        P = np.empty(T.shape)
+        joseph(P, P_0, T @ _remainder(there.K, there.H), T @ there.K, R)
         mean_variance = np.trace(R) / len(R)
-        return _Step(dx, (P + P.T) / 2, now.K, again.z_minus_h, float(bend @ bend) / mean_variance)
+        return _Step(dx, P, now.K, again.z_minus_h, float(bend @ bend) / mean_variance)
 
 
 @kernel
@@ -315,6 +378,21 @@ def _of_products(P: Array, j: int, k: int, m: int, n: int) -> float:
     return of_equal + P[_A + j, _V + n] * P[_A + m, _V + k]
 
 
+@kernel
+def _product_counts(
+    state: Records, H: Array, R: Array, least: float, mean: Array, covariance: Array
+) -> bool:
+    """Whether t x dv counts from a part of R on; its moments, see `_product_moments`."""
+    _product_moments(state[0].nav.P, mean, covariance)
+    of_product, of_noise = 0.0, 0.0
+    for a in range(H.shape[0]):
+        of_noise += R[a, a] if is_measured(H, a) else 0.0
+        for i in range(3):
+            for j in range(3):
+                of_product += H[a, _V + i] * covariance[i, j] * H[a, _V + j]
+    return of_product > least * of_noise
+
+
 def _correct_body_velocity(
     state: Records, constants: Records, prior: Innovated, relinearise: Callable[[], Linearised]
 ) -> tuple[Array, Array]:
@@ -323,12 +401,11 @@ def _correct_body_velocity(
     With dv = R_t dv' the measurement tells dv' whatever tilt and heading are, and
     dv' = dv - t x dv to second order: its covariance is that of dv and of the product.
     """
-    H, R, P = prior.H, prior.R, state[0]["nav"]["P"]
-    mean, covariance, H_v = np.empty(3), np.empty((3, 3)), H[:, VELOCITY]
-    _product_moments(P, mean, covariance)
+    H, R = prior.H, prior.R
+    mean, covariance = np.empty(3), np.empty((3, 3))
     K, innovation, product = prior.K, prior.innovation, False
-    noise = np.diagonal(R) @ prior.measured
-    if np.trace(H_v @ covariance @ H_v.T) > _PRODUCT * noise:
+    if _product_counts(state, H, R, _PRODUCT, mean, covariance):
+        H_v, P = H[:, VELOCITY], state["nav"]["P"][0]
         before = P[VELOCITY, VELOCITY].copy()
         P[VELOCITY, VELOCITY] += covariance
         now = innovate(P, innovation + H_v @ mean, H, R)
@@ -376,9 +453,9 @@ def correct(
         none = np.zeros(3)
         _correct(state, constants, prior.H, prior.K, prior.R, prior.innovation, none, False)
         return prior.K, relinearise().z_minus_h
-    if not prior.H[:, POSITION].any():
+    if not tells(prior.H, POSITION.start, POSITION.stop):
         return _correct_body_velocity(state, constants, prior, relinearise)
-    before, n = state.copy(), len(prior.K)
+    n = len(prior.K)
     iteration = _Iteration(state, constants, prior, relinearise)
     first = best = iteration.step()
     share = 2.0 * math.sqrt(first.bend / _BEND) - 1.0
@@ -390,7 +467,7 @@ def correct(
         now, steps = iteration.step(), steps + 1
         if now.bend < best.bend:  # should the iteration lead away, the best correction stands
             best = now
-    state[:] = before
+    iteration.go_back()
     _inject(state, constants, first.dx + share * (best.dx - first.dx))
     state["nav"]["P"][0][:n, :n] = first.P + share * (best.P - first.P)
     return best.K, relinearise().z_minus_h

@@ -16,14 +16,16 @@ each of them has taken from P. Derivation: docs/explanation/map-odom.md.
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from insdvl.arrays import Array
+from insdvl.arrays import Array, Records
+from insdvl.kernels import kernel
 from insdvl.navigation import coordinates
 from insdvl.navigation.error_state import ATTITUDE, POSITION
 from insdvl.navigation.geometry import earth, odom
-from insdvl.navigation.geometry.rotation import about_down, cross_matrix
+from insdvl.navigation.geometry.rotation import about_down, cross_matrix, product_transposed
 from insdvl.navigation.measurements.base import Vehicle
 from insdvl.navigation.state import State
 
@@ -38,8 +40,7 @@ _HEADING = ATTITUDE.stop - 1
 _DOWN = np.array([0.0, 0.0, 1.0])
 
 
-@dataclass(frozen=True)
-class Before:
+class Before(NamedTuple):
     """The estimate before an update.
 
     Attributes:
@@ -82,22 +83,20 @@ def before(s: State, vehicle: Vehicle, *, absolute: bool) -> Before:
     return Before(nav["C_n_b"].copy(), nav["llh"].copy(), seen)
 
 
-def moved(s: State, vehicle: Vehicle, was: Before) -> None:
+def moved(state: Records, vehicle: Vehicle, was: Before) -> None:
     """An update has moved the estimate: odom stays, or the move is looked at whether it is a reset.
 
     Args:
-        s: State after the update.
+        state: (1,) record after the update.
         vehicle: Of the filter.
         was: The estimate before it.
     """
-    nav = s["nav"]
-    turn = yaw_between(was.C_n_b, nav["C_n_b"])
     if was.seen is None:
-        step = np.empty(3)
-        earth.displacement(step, was.llh, nav["llh"])
-        _count_reset(s, turn, step)
+        _move_odom(state, was.C_n_b, was.llh)
         return
-    o, seen, yaw = s["odom"], was.seen, float(s["odom"]["yaw"])
+    s = state[0]
+    nav, o, seen, yaw = s["nav"], s["odom"], was.seen, float(s["odom"]["yaw"])
+    turn = yaw_between(was.C_n_b, nav["C_n_b"])
     p_m, gamma = _in_map(s, vehicle)
     after = math.remainder(yaw + turn + gamma - seen.gamma, 2.0 * math.pi)
     if (was.llh != nav["llh"]).any() or (was.C_n_b != nav["C_n_b"]).any():
@@ -120,22 +119,28 @@ def is_moved(s: State) -> bool:
     return bool(o["yaw"] or o["p"].any() or o["P"].any())
 
 
+@kernel
 def yaw_between(C_before: Array, C_after: Array) -> float:
     """By how much the yaw has changed [rad]: the direction of the nose, seen from above."""
-    a, b = C_before[:2, 0], C_after[:2, 0]
-    if min(math.hypot(*a), math.hypot(*b)) > _SHORTEST_NOSE:
+    a, b = C_before[:, 0], C_after[:, 0]
+    if min(math.hypot(a[0], a[1]), math.hypot(b[0], b[1])) > _SHORTEST_NOSE:
         return math.atan2(a[0] * b[1] - a[1] * b[0], a[0] * b[0] + a[1] * b[1])
-    turn = C_after @ C_before.T
+    turn = np.empty((3, 3))
+    product_transposed(turn, C_after, C_before)
     return math.atan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])
 
 
-def _count_reset(s: State, turn: float, step: Array) -> None:
+@kernel
+def _move_odom(state: Records, C_before: Array, llh_before: Array) -> None:
     """Odom has moved with the estimate by an update."""
-    o = s["odom"]
-    o["turned"] += turn
-    if abs(o["turned"] - o["turned_at_reset"]) > RESET_TURN or math.hypot(*step) > RESET_STEP:
-        o["turned_at_reset"] = o["turned"]
-        s["counters"]["odom_resets"] += 1
+    s, step = state[0], np.empty(3)
+    o = s.odom
+    o.turned += yaw_between(C_before, s.nav.C_n_b)
+    earth.displacement(step, llh_before, s.nav.llh)
+    distance = math.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
+    if abs(o.turned - o.turned_at_reset) > RESET_TURN or distance > RESET_STEP:
+        o.turned_at_reset = o.turned
+        s.counters.odom_resets += 1
 
 
 def _origin(s: State) -> Array:

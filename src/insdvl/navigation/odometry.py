@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from insdvl.arrays import Array, Records
 from insdvl.kernels import kernel
@@ -170,6 +171,23 @@ def odometry(filter_: Filter, states: Records, k: int) -> Odometry:
         place=o["place"],
         place_covariance=o["place_covariance"],
     )
+
+
+def odometries(filter_: Filter, states: Records, ks: NDArray[np.intp]) -> Records:
+    """Odometry of the state records ``states[ks]`` (M,) as records.
+
+    Their fields are those of `Odometry`, beside scratch memory; ``quaternion_xyzw`` and
+    ``odom_quaternion_xyzw`` are (M, 1, 4).
+    """
+    out = np.zeros(len(ks), _OUTPUT)
+    _odometries(states, ks, filter_.constants, out)
+    return out
+
+
+@kernel
+def _odometries(states: Records, ks: NDArray[np.intp], constants: Records, out: Records) -> None:
+    for m in range(len(ks)):
+        _odometry(states, ks[m], constants, out[m : m + 1])
 
 
 @kernel

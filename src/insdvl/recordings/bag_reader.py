@@ -1,10 +1,11 @@
 """Reading a rosbag2 recording without ROS, sqlite3 and MCAP alike."""
 
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 from typing import Any, NamedTuple, final
 
 from insdvl.extras import extra
@@ -17,10 +18,12 @@ from insdvl.recordings.checks import (
     complete_index,
 )
 from insdvl.recordings.foreign import STORAGES, remedy_of_file, remedy_of_folder
+from insdvl.recordings.mcap_messages import messages as mcap_messages
 
 with extra("bags"):
     from rosbags.interfaces import Connection, MessageDefinitionFormat
     from rosbags.rosbag2 import Reader
+    from rosbags.rosbag2.storage_mcap import McapReader
 
 
 #: Encoding of the messages of ROS 2.
@@ -99,6 +102,8 @@ class BagReader:
         for storage in _storages(reader):
             check_chunks(getattr(storage, "chunks", []))
             complete_index(storage)
+            if isinstance(storage, McapReader):
+                storage.messages = partial(mcap_messages, storage)  # type: ignore[method-assign]
         return reader
 
     def _read_connections(self) -> list[Connection]:
@@ -174,8 +179,14 @@ class BagReader:
             there = ", ".join(sorted(name for name, info in self.topics.items() if info.size))
             raise BagError(f"topic {topic!r} is not in {self.path}; it has {there}")
 
-    def raw(self, topics: Collection[str]) -> Iterator[Raw]:
+    def raw(
+        self, topics: Collection[str], names: Mapping[str, str] = MappingProxyType({})
+    ) -> Iterator[Raw]:
         """The messages of some topics as bytes, in the order in which they were recorded.
+
+        Args:
+            topics: Names in the recording.
+            names: Other names that the messages are given.
 
         Raises:
             BagError: The recording is damaged, or has fewer messages than its index says.
@@ -186,7 +197,7 @@ class BagReader:
         if not connections:
             return
         messages = self._reader.messages(connections)
-        definitions = {c.topic: _definition(c) for c in connections}
+        told = {c.id: (names.get(c.topic, c.topic), c.msgtype, _definition(c)) for c in connections}
         while True:
             try:
                 connection, time_ns, data = next(messages)
@@ -204,8 +215,8 @@ class BagReader:
                 )
             if found > expected:
                 break
-            topic, kind = connection.topic, connection.msgtype
-            yield Raw(topic, kind, time_ns, bytes(data), definitions[topic])
+            topic, kind, definition = told[connection.id]
+            yield Raw(topic, kind, time_ns, bytes(data), definition)
         if found != expected:
             raise BagError(
                 f"recording {self.path} is damaged: it has {found} or more messages on "

@@ -26,7 +26,7 @@ def run(arguments: argparse.Namespace) -> int:
     warnings: list[str] = []
     begin = time.monotonic()
     with kernels.compiling(
-        begins=lambda: print("compiling, about a minute", flush=True),
+        begins=lambda why: print(f"compiling {why}: about a minute", flush=True),
         ends=lambda seconds: print(f"compiled in {seconds:.0f} s"),
         warns=warnings.append,
     ):

@@ -45,7 +45,9 @@ class Entries:
             Whether there is another with its stamp and kind, and whether the list has changed.
         """
         entry = Entry((event.stamp_ns, event.kind, event.payload()), event)
-        at = bisect.bisect_left(self.ordered, (*entry.key[:2], b""), key=lambda e: e.key)
+        at = len(self.ordered)
+        if at and entry.key[:2] <= self.ordered[-1].key[:2]:  # most events are the newest
+            at = bisect.bisect_left(self.ordered, (*entry.key[:2], b""), key=lambda e: e.key)
         if at < len(self.ordered) and self.ordered[at].key[:2] == entry.key[:2]:
             kept = self.ordered[at]
             if entry.key >= kept.key:
@@ -91,10 +93,14 @@ class Entries:
         return self._first_settings
 
     def forget(self, until_ns: int) -> None:
-        """Drop the events up to a stamp."""
+        """Drop the events up to a stamp, all of which have been applied."""
         self._first_settings = self.settings_at(until_ns)
         self._settings = [e for e in self._settings if e.event.stamp_ns > until_ns]
         self.ordered = [entry for entry in self.ordered if entry.event.stamp_ns > until_ns]
+        # One that was left out has no report, and will have none.
+        self.unpublished = [
+            e for e in self.unpublished if e.report is not None or e.event.stamp_ns > until_ns
+        ]
 
     def another_start(self, e: int, until_ns: int) -> bool:
         """Whether up to a stamp another initial state that applies once follows event e."""

@@ -13,22 +13,17 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from insdvl.arrays import Array, Records, Stamps
-from insdvl.navigation.events import (
-    NS,
-    Event,
-    Imu,
-    Origin,
-    refusal,
-)
+from insdvl.navigation.events import NS, Event, Imu, Origin, refusal
 from insdvl.navigation.filter import Filter
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.settings import Settings
 from insdvl.navigation.start import zero_velocity
 from insdvl.navigation.state import FOREVER, NEVER, State, counters
-from insdvl.timeline.entries import Entries
-from insdvl.timeline.jumps import Run, Suspects, TimeJump
+from insdvl.timeline.entries import Entries, Entry
+from insdvl.timeline.jumps import RUN_GAP_NS, Run, Suspects, TimeJump
 from insdvl.timeline.output import (
     AppliedUpdate,
+    Final,
     FoldResult,
     LeftTime,
     Output,
@@ -201,8 +196,37 @@ class Fold:
         if changed:
             if self._samples.count == 0 and not duplicate:
                 self._counts["given_up"] += self._entries.bound_waiting(event.kind)
-            self._samples.outdate(self._samples.index_of(event.stamp_ns))
+            self._samples.outdate_from(event.stamp_ns)
         return "duplicate" if duplicate else None
+
+    def following(self, stamps_ns: Stamps) -> int:
+        """How many of the first of these samples follow the newest one, each as near to the last.
+
+        `add` would take all of them, and `add_samples` does so at once.
+        """
+        if not self._samples.count:
+            return 0
+        steps_ns = np.diff(stamps_ns, prepend=self._last_ns)
+        others = np.flatnonzero((steps_ns <= 0) | (steps_ns > self._near_ns))
+        return int(others[0]) if others.size else len(stamps_ns)
+
+    def add_samples(self, stamps_ns: Stamps, f_b: Array, w_ib_b: Array) -> None:
+        """Insert samples that follow the newest one, as `add` does one after the other.
+
+        Args:
+            stamps_ns: (N,) stamps, all of them `following`.
+            f_b: (N, 3) specific force [m/s^2], IMU axes, forward-right-down; within the limits of
+                `events.Imu`, as `w_ib_b`.
+            w_ib_b: (N, 3) angular rate [rad/s], same axes.
+        """
+        samples, first = self._samples, 0
+        while first < len(stamps_ns):
+            if samples.is_full:
+                self._make_room()
+            part = slice(first, first + samples.stamps_ns.size - samples.count)
+            samples.append(stamps_ns[part], f_b[part], w_ib_b[part])
+            first = part.stop
+        self._confirm_present()
 
     def add_recording(
         self, stamps_ns: Stamps, f_b: Array, w_ib_b: Array, events: Sequence[Event]
@@ -382,6 +406,21 @@ class Fold:
         s = self._steps.newest(self._start)
         return {shown: int(group[name]) for shown, (group, name) in counters(s).items()}
 
+    def take_final(self, *, end: bool = False) -> list[Final]:
+        """What has become final since the last call; in place of `take`, for whole recordings.
+
+        An event may be late by max_delay, and by `RUN_GAP_NS` more where samples recover.
+
+        Args:
+            end: Whether nothing will be added any more: then all is final.
+        """
+        states = self.states
+        found = [left.final for left in self._left]
+        self._left.clear()
+        delay_ns = self._max_delay_ns + RUN_GAP_NS + 1
+        done, first, last = self._publish(FOREVER if end else self._last_ns - delay_ns)
+        return [*found, Final(states[first:last], applied(sorted(done)), None)]
+
     def take(self) -> list[Output]:
         """What became publishable since the last call, in the order of stamps.
 
@@ -392,12 +431,17 @@ class Fold:
         states = self.states
         outputs = [output for left in self._left for output in left.outputs()]
         self._left.clear()
-        if len(states):
-            until_ns = self._last_ns - self._output_delay_ns
-            stamps_ns = self._samples.stamps_ns[: len(states)]
-            done, self._entries.unpublished = split(self._entries.unpublished, until_ns)
-            first, last = between(stamps_ns, self._published_ns, until_ns)
-            outputs += outputs_of(self.filter, states, first, last, done)
-            if last > first:
-                self._published_ns = int(stamps_ns[last - 1])
-        return outputs
+        done, first, last = self._publish(self._last_ns - self._output_delay_ns)
+        return outputs + outputs_of(self.filter, states, first, last, done)
+
+    def _publish(self, until_ns: int) -> tuple[list[Entry], int, int]:
+        """Measurements, and samples first <= k < last, up to a stamp that were not yet published.
+
+        The states of all samples must be valid.
+        """
+        stamps_ns = self._samples.stamps_ns[: self._samples.count]
+        done, self._entries.unpublished = split(self._entries.unpublished, until_ns)
+        first, last = between(stamps_ns, self._published_ns, until_ns)
+        if last > first:
+            self._published_ns = int(stamps_ns[last - 1])
+        return done, first, last

@@ -49,6 +49,22 @@ class FoldResult:
 
 
 @dataclass(frozen=True, slots=True)
+class Final:
+    """What no later event can change any more.
+
+    Attributes:
+        states: (N,) state records at the samples' stamps, in the memory of the fold: they are valid
+            until the next event is added.
+        updates: What was done with the measurements up to the last of them, in the order of stamps.
+        jump: With which their time was left behind them; None while it goes on.
+    """
+
+    states: Records
+    updates: list[AppliedUpdate]
+    jump: TimeJump | None
+
+
+@dataclass(frozen=True, slots=True)
 class LeftTime:
     """A time that was left, and what of it is not yet published.
 
@@ -72,6 +88,13 @@ class LeftTime:
         first, last = between(self.stamps_ns, self.published_ns, self.jump.from_ns)
         outputs = outputs_of(self.result.filter, self.result.states, first, last, done)
         return [*outputs, self.jump]
+
+    @property
+    def final(self) -> Final:
+        """The same as records: nothing can come late any more."""
+        done, _ = split(self.unpublished, self.jump.from_ns)
+        first, last = between(self.stamps_ns, self.published_ns, self.jump.from_ns)
+        return Final(self.result.states[first:last], applied(sorted(done)), self.jump)
 
 
 def known_pose(filter_: Filter, state: State) -> Initial:
@@ -109,7 +132,7 @@ def split(entries: list[Entry], until_ns: int) -> tuple[list[Entry], list[Entry]
 
 def between(stamps_ns: Stamps, after_ns: int, until_ns: int) -> tuple[int, int]:
     """Indices first <= k < last of the stamps after one time and up to another."""
-    first, last = (int(np.searchsorted(stamps_ns, t, side="right")) for t in (after_ns, until_ns))
+    first, last = (int(stamps_ns.searchsorted(t, side="right")) for t in (after_ns, until_ns))
     return first, max(first, last)
 
 

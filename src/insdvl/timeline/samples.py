@@ -83,6 +83,34 @@ def rate_at(
 
 
 @kernel
+def _believed_rate_at(
+    state: Records,
+    stamps_ns: Stamps,
+    w_ib_b: Array,
+    verdicts: NDArray[np.int8],
+    k: int,
+    at_ns: int,
+    window_ns: int,
+    variance: Array,
+    rate: Array,
+    share: Array,
+) -> None:
+    """`rate_at` of the samples that are believed; the state (1,) has the verdicts on sample k."""
+    first = k
+    while first > 0 and stamps_ns[first] > at_ns - window_ns:
+        first -= 1
+    seen = np.empty(k + 1 - first, np.bool_)
+    for j in range(first, k + 1):
+        seen[j - first] = True
+        for i in range(3, 6):
+            verdict = state[0].channels.verdict[i] if j == k else verdicts[j, i]
+            if verdict != GOOD:
+                seen[j - first] = False
+    stamps_ns, w_ib_b = stamps_ns[first : k + 1], w_ib_b[first : k + 1]
+    rate_at(stamps_ns, w_ib_b, seen, k - first, at_ns, window_ns, variance, rate, share)
+
+
+@kernel
 def _share_and_time(stamps_ns: Stamps, j: int, start_ns: int, end_ns: int) -> tuple[float, float]:
     """Share of a window that sample j has, and the middle of its interval from its end [s]."""
     share = min(stamps_ns[j], end_ns) - max(stamps_ns[j - 1], start_ns)
@@ -137,7 +165,7 @@ class Samples:
 
     def index_of(self, stamp_ns: int) -> int:
         """Index of the first sample that is not before a stamp."""
-        return int(np.searchsorted(self.stamps_ns[: self.count], stamp_ns))
+        return int(self.stamps_ns[: self.count].searchsorted(stamp_ns))
 
     def turn_rate(
         self, state: Records, k: int, at_ns: int, window_ns: int, variance: Array
@@ -151,16 +179,19 @@ class Samples:
             window_ns: Length of the window that ends there.
             variance: (3,) of one sample [(rad/s)^2].
         """
-        part = slice(max(self.index_of(at_ns - window_ns) - 1, 0), k + 1)
-        seen = (self._verdicts(state, part)[:, 3:] == GOOD).all(axis=1)
         rate, share = np.empty(3), np.empty(3)
-        at = k - part.start, at_ns, window_ns
-        rate_at(self.stamps_ns[part], self.w_ib_b[part], seen, *at, variance, rate, share)
+        samples = self.stamps_ns, self.w_ib_b, self.kept.verdicts
+        _believed_rate_at(state, *samples, k, at_ns, window_ns, variance, rate, share)
         return rate, share
 
     def outdate(self, k: int) -> None:
         """The states from sample k on are not valid any more."""
         self.stale = min(self.stale, k)
+
+    def outdate_from(self, stamp_ns: int) -> None:
+        """The states from a stamp on are not valid any more."""
+        if self.stale and self.stamps_ns[self.stale - 1] >= stamp_ns:
+            self.outdate(self.index_of(stamp_ns))
 
     def window(self, state: Records, k: int, at_ns: int, length_ns: int) -> Array:
         """Samples (N, 6) that are believed of a time that ends at a stamp, see `turn_rate`.
@@ -211,6 +242,21 @@ class Samples:
         self.outdate(k)
         return True
 
+    def append(self, stamps_ns: Stamps, f_b: Array, w_ib_b: Array) -> None:
+        """Append samples that follow the newest one; there must be room.
+
+        Args:
+            stamps_ns: (N,) stamps, strictly increasing.
+            f_b: (N, 3) specific force [m/s^2], IMU axes, forward-right-down.
+            w_ib_b: (N, 3) angular rate [rad/s], same axes.
+        """
+        part = slice(self.count, self.count + len(stamps_ns))
+        self.stamps_ns[part] = stamps_ns
+        rotate_samples(self.f_b[part], self._C_b_i, f_b)
+        rotate_samples(self.w_ib_b[part], self._C_b_i, w_ib_b)
+        self.readings[part, :3], self.readings[part, 3:] = f_b, w_ib_b
+        self.count = part.stop
+
     def fill(self, stamps_ns: Stamps, f_b: Array, w_ib_b: Array) -> None:
         """Take all samples of a recording; there are none yet.
 
@@ -241,11 +287,7 @@ class Samples:
             )
         if n > self.stamps_ns.size:
             self.grow(n)
-        self.stamps_ns[:n] = stamps_ns
-        rotate_samples(self.f_b, self._C_b_i, f_b)
-        rotate_samples(self.w_ib_b, self._C_b_i, w_ib_b)
-        self.readings[:n, :3], self.readings[:n, 3:] = f_b, w_ib_b
-        self.count, self.stale = n, 0
+        self.append(stamps_ns, f_b, w_ib_b)
 
     def put_state(self, state: Records, stamp_ns: int) -> None:
         """Begin with the state of another run in the place of a first sample.

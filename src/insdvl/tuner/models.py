@@ -86,7 +86,7 @@ class Model:
     Attributes:
         path: File of its numbers.
         card: The card as read.
-        window: Number of samples N of a window.
+        window: Number of samples N of a window, the least that an estimate needs.
         schema: Inputs of the regressor, and the meaning of its outputs.
         regressor: Computes the outputs.
     """
@@ -97,11 +97,16 @@ class Model:
     schema: Schema
     regressor: Regressor
 
+    @property
+    def history(self) -> int:
+        """Largest number of samples that an estimate uses."""
+        return self.schema.history or self.window
+
     def variances(self, windows: Array) -> Array:
         """Variance per sample of the noise in each window.
 
         Args:
-            windows: (M, window), one channel each, in its unit.
+            windows: (M, N) of window to history samples, one channel each, in its unit.
 
         Returns:
             (M,), in the square of that unit.
@@ -109,10 +114,13 @@ class Model:
         Raises:
             ValueError: A window has another length, or is not finite or too large.
         """
-        if windows.ndim != 2 or windows.shape[1] != self.window:
-            raise ValueError(f"windows must be (M, {self.window}), got {windows.shape}")
+        if windows.ndim != 2 or not self.window <= windows.shape[1] <= self.history:
+            lengths = f"{self.window}"
+            if self.history != self.window:
+                lengths += f" to {self.history}"
+            raise ValueError(f"windows must be (M, {lengths}), got {windows.shape}")
         X, scale = self.schema.extract(windows)
-        return self.schema.decode(self.regressor.predict(X), scale)
+        return self.schema.decode(self.schema.bounded(X, self.regressor.predict(X)), scale)
 
 
 def sha256(data: bytes) -> str:
@@ -241,9 +249,10 @@ def _schema(card: Mapping[str, Any], file: Path) -> Schema:
             f"the model's card {file}: its features are not those of the schema "
             f"{card['feature_schema']!r} in this version"
         )
-    if not schema.min_samples <= card["window"] <= MAX_WINDOW:
+    most = schema.history or MAX_WINDOW
+    if not schema.min_samples <= card["window"] <= most:
         raise ModelError(
-            f"the model's card {file}: window must be >= {schema.min_samples} and <= {MAX_WINDOW}, "
+            f"the model's card {file}: window must be >= {schema.min_samples} and <= {most}, "
             f"got {shown(card['window'])}"
         )
     return schema

@@ -17,11 +17,15 @@ from insdvl.tuner.windows import CHANNELS, period
 
 Indices = NDArray[np.intp]
 
+_AT_ONCE = 64  # windows; a history of 2000 samples of six channels takes 96 kilobytes
+
 #: Windows (M, N) of one channel each to the variances (M,) of their noise.
 Estimator = Callable[[Array], Array]
 
 
-def closing_samples(stamps_ns: Stamps, window: int, rate: float, max_gap_ns: int) -> Indices:
+def closing_samples(
+    stamps_ns: Stamps, window: int, rate: float, max_gap_ns: int
+) -> tuple[Indices, Indices]:
     """The samples at which a tuner makes an estimate.
 
     Args:
@@ -31,7 +35,7 @@ def closing_samples(stamps_ns: Stamps, window: int, rate: float, max_gap_ns: int
         max_gap_ns: A window that spans a longer interval between stamps is not used.
 
     Returns:
-        (K,) indices; the window of each is the `window` samples that end with it.
+        (K,) indices, and the number of samples (K,) without a gap that end with each, >= `window`.
 
     Raises:
         ValueError: The stamps do not increase.
@@ -47,8 +51,9 @@ def closing_samples(stamps_ns: Stamps, window: int, rate: float, max_gap_ns: int
     beginning = np.zeros(stamps_ns.size, np.intp)  # first sample of the run without a gap
     after_gap = np.flatnonzero(steps > max_gap_ns) + 1
     beginning[after_gap] = after_gap
-    since = np.arange(stamps_ns.size) - np.maximum.accumulate(beginning)
-    return np.flatnonzero(opens & (since >= window - 1))
+    filled = np.arange(1, stamps_ns.size + 1) - np.maximum.accumulate(beginning)
+    closing = np.flatnonzero(opens & (filled >= window))
+    return closing, filled[closing]
 
 
 def tuned(
@@ -58,6 +63,7 @@ def tuned(
     window: int,
     rate: float,
     max_gap_ns: int,
+    history: int | None = None,
 ) -> tuple[Stamps, Array]:
     """The process noise that a tuner with this estimator publishes for a whole recording.
 
@@ -68,6 +74,8 @@ def tuned(
         window: Number of samples of a window.
         rate: Rate of the tuner [Hz].
         max_gap_ns: A window that spans a longer interval between stamps is not used.
+        history: Largest number of samples for an estimator that uses as many as there are, up to
+            this; None for one that always uses `window` samples.
 
     Returns:
         Stamps (K,) from which on the variances (K, 6) apply.
@@ -75,9 +83,14 @@ def tuned(
     Raises:
         ValueError: The stamps do not increase, or `estimate` rejects a window.
     """
-    closing = closing_samples(stamps_ns, window, rate, max_gap_ns)
-    if not closing.size:
-        return stamps_ns[:0], np.empty((0, CHANNELS))
-    windows = sliding_window_view(samples, window, axis=0)[closing - (window - 1)]
-    variances = estimate(np.ascontiguousarray(windows).reshape(-1, window))
-    return stamps_ns[closing], variances.reshape(-1, CHANNELS)
+    closing, filled = closing_samples(stamps_ns, window, rate, max_gap_ns)
+    variances = np.empty((closing.size, CHANNELS))
+    lengths = np.minimum(filled, history or window)
+    for length in np.unique(lengths):
+        of_length = np.flatnonzero(lengths == length)
+        windows = sliding_window_view(samples, length, axis=0)
+        for first in range(0, of_length.size, _AT_ONCE):
+            some = of_length[first : first + _AT_ONCE]
+            chosen = np.ascontiguousarray(windows[closing[some] - (length - 1)])
+            variances[some] = estimate(chosen.reshape(-1, length)).reshape(-1, CHANNELS)
+    return stamps_ns[closing], variances

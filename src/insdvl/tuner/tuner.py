@@ -1,13 +1,14 @@
 """The tuner: estimates the variance of the IMU noise at the tuning rate.
 
 The schedule follows from the stamps alone. Time is divided into periods of 1 / rate from stamp 0
-on; the first sample of a period closes a window, which has that sample and the N - 1 before it. A
+on; the first sample of a period closes a window, which has that sample and those before it: the
+N - 1 of the model's window, or as many as there are without a gap up to the model's history. A
 stamp at the start of a period belongs to the period, so estimates lie on multiples of 1 / rate
 where samples do; with jitter or other phases an estimate has the stamp of the first sample after.
 The time at which the tuner started, and the speed at which samples arrive, do not matter: two
-tuners that have both seen the last N samples give the same bits.
+tuners that have both seen the samples of the history give the same bits.
 
-A period whose window has a gap or is not full has no estimate.
+A period in which there are fewer than N samples since the last gap has no estimate.
 """
 
 from dataclasses import dataclass
@@ -59,9 +60,11 @@ class Tuner:
                 f"parameter 'difference_order' must be less than the {self.model.window} samples "
                 f"of the model's window, got {parameters.difference_order}"
             )
-        self._estimate = bounded(self.model.variances, parameters.difference_order)
+        self._estimate = bounded(
+            self.model.variances, parameters.difference_order, self.model.window
+        )
         self._rate = Fraction(parameters.rate) / NS  # periods in a nanosecond, exactly
-        self._window = Window(self.model.window, round(parameters.max_gap * NS))
+        self._window = Window(self.model.history, round(parameters.max_gap * NS))
         self._made = {"windows": 0, "too_large": 0}
         self._estimate(np.zeros((CHANNELS, self.model.window)))
 
@@ -85,7 +88,7 @@ class Tuner:
             return None
         if previous is None or period(stamp_ns, self._rate) == period(previous, self._rate):
             return None
-        if not self._window.full or not self.enabled:
+        if self._window.filled < self.model.window or not self.enabled:
             return None
         try:
             variances = self._estimate(self._window.samples())

@@ -1,4 +1,4 @@
-"""The last N samples of an IMU without a gap, and the periods of the tuner."""
+"""The last samples of an IMU without a gap, and the periods of the tuner."""
 
 from fractions import Fraction
 from typing import TypeVar
@@ -24,7 +24,7 @@ def period(stamp_ns: _Stamp, per_ns: Fraction) -> _Stamp:
 
 
 class Window:
-    """Ring of the last N samples: the half-open interval (t - N dt, t] at the newest stamp t.
+    """Ring of the last n <= N samples: the half-open interval (t - n dt, t] at the newest stamp t.
 
     Samples that are not finite, repeat the newest stamp or are older are dropped. An interval
     longer than `max_gap` empties the window; a shorter one (some lost samples) does not. A step
@@ -33,12 +33,13 @@ class Window:
 
     Attributes:
         stamp_ns: Newest stamp; None before the first sample.
+        filled: Number n of samples without a gap.
         counts: Samples used (``samples``) and dropped (``not_finite``, ``duplicates``,
             ``out_of_order``), and events that emptied the window (``gaps``, ``restarts``).
     """
 
     def __init__(self, size: int, max_gap_ns: int) -> None:
-        """An empty window of `size` samples."""
+        """An empty window of at most `size` samples."""
         self.stamp_ns: int | None = None
         self.counts = {
             "samples": 0,
@@ -53,12 +54,7 @@ class Window:
         # Every sample is written twice, N apart: the last N are then always contiguous.
         self._ring = np.zeros((CHANNELS, 2 * size))
         self._next = 0
-        self._filled = 0
-
-    @property
-    def full(self) -> bool:
-        """Whether there are N samples without a gap."""
-        return self._filled == self._size
+        self.filled = 0
 
     def add(self, stamp_ns: int, sample: Array) -> bool:
         """Add a sample (6,); False where it was dropped (see `counts`)."""
@@ -75,18 +71,19 @@ class Window:
                 return False
             if step < 0:
                 self.counts["restarts"] += 1
-                self._filled = 0
+                self.filled = 0
             elif step > self._max_gap_ns:
                 self.counts["gaps"] += 1
-                self._filled = 0
+                self.filled = 0
         self.stamp_ns = stamp_ns
         self.counts["samples"] += 1
         self._ring[:, self._next] = sample
         self._ring[:, self._next + self._size] = sample
         self._next = (self._next + 1) % self._size
-        self._filled = min(self._filled + 1, self._size)
+        self.filled = min(self.filled + 1, self._size)
         return True
 
     def samples(self) -> Array:
-        """The N samples of each channel, oldest first, (6, N); only when `full`."""
-        return self._ring[:, self._next : self._next + self._size]
+        """The samples of each channel, oldest first, (6, filled)."""
+        end = self._next + self._size
+        return self._ring[:, end - self.filled : end]

@@ -230,7 +230,7 @@ def test_results_belong_to_settings_sources_and_versions(tmp_path, monkeypatch):
 
 def test_results_depend_on_the_files_of_their_code_only(tmp_path):
     def digest(name):
-        for cached in (kernels._imported, source_digest, environment):
+        for cached in (kernels._imported, kernels._file_digest, source_digest, environment):
             cached.cache_clear()
         return Store(tmp_path / f"of {name}", {}, tmp_path / name).folder.name
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from compass import Compass, with_compass
+from compass import compass, with_compass
 from scipy.spatial.transform import Rotation
 
 from insdvl.messages.make import fill_odometry
@@ -42,7 +42,7 @@ def message() -> Any:
         P_p=np.diag([1.0, 4.0, 9.0]),
     )
     filter_.initialise(state, initial, 10**9, np.array([0.01, 0.02, 0.03]))
-    assert filter_.update(state, Compass(10**9, RPY[2] + 0.2, 0.05), np.zeros(3), 1.0).accepted
+    assert filter_.update(state, compass(10**9, RPY[2] + 0.2, 0.05), np.zeros(3), 1.0).accepted
     o = odometry(filter_, state, 0)
     assert abs(o.map_to_odom[3]) > 0.1
     made = new_message("nav_msgs/msg/Odometry")

@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from compass import Compass, with_compass
+from compass import compass, with_compass
 from fix import Fix, FixModel, with_fixes
 from places import moved
 from scipy.spatial.transform import Rotation
@@ -23,6 +23,7 @@ from insdvl.navigation.error_state import POSITION
 from insdvl.navigation.events import Event, Imu, Initial, Measurement
 from insdvl.navigation.filter import LAYOUT, Filter
 from insdvl.navigation.measurements.dvl import Dvl
+from insdvl.navigation.measurements.heading import Heading
 from insdvl.navigation.odometry import Odometry, odometry
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.prediction.kept import Kept
@@ -53,7 +54,7 @@ def yaw_of(C: Array) -> float:
 def compass_events(mission: Mission, rng: np.random.Generator, first: float, std: float) -> list:
     C, rows = mission.truth.C_n_b, range(round(first * RATE) - 1, len(mission.stamps_ns), 100)
     return [
-        Compass(int(mission.stamps_ns[k]), yaw_of(C[k]) + std * rng.standard_normal(), std)
+        compass(int(mission.stamps_ns[k]), yaw_of(C[k]) + std * rng.standard_normal(), std)
         for k in rows
     ]
 
@@ -135,7 +136,7 @@ def test_an_absolute_update_does_not_move_odom(
     filter_, state = far_from_the_start(settings, rpy)
     for k in range(3):
         before = seen_by(filter_, state)
-        measurement: Measurement = Compass(10**9 + k, rpy[2] + 0.25 + 0.02 * k, 0.05)
+        measurement: Measurement = compass(10**9 + k, rpy[2] + 0.25 + 0.02 * k, 0.05)
         if input_ == "position":
             measurement = Fix(10**9 + k, np.array([950.0 + k, -810.0, 20.0]), 2.0)
         assert filter_.update(state, measurement, np.zeros(3), 1.0).accepted
@@ -178,7 +179,7 @@ def test_what_is_seen_in_odom(convention: str) -> None:
     """In the axes of the stream; the other updates move both by the same."""
     settings = with_compass(replace(parameters(Case(MEMS, 10.0)), frame_convention=convention))
     filter_, state = far_from_the_start(settings, STATES["level"])
-    filter_.update(state, Compass(10**9, 1.1, 0.02), np.zeros(3), 1.0)
+    filter_.update(state, compass(10**9, 1.1, 0.02), np.zeros(3), 1.0)
     first = seen_by(filter_, state)
     assert_seen_through(first)
     assert abs(first.map_to_odom[3]) > 0.1
@@ -392,7 +393,7 @@ class Flown:
             arrays = m.stamps_ns, m.f_b, m.w_ib_b, self.readings
             self.filter.predict_samples(self.state, *arrays, self.k, self.k + 1, self.kept)
             for event in self.events.get(int(m.stamps_ns[self.k]), []):
-                before = self.cross() if isinstance(event, Compass) else None
+                before = self.cross() if isinstance(event, Heading) else None
                 self.filter.update(self.state, event, m.w_ib_b[self.k], 1.0)
                 if before is not None:
                     taken += before - self.cross()

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rosbags.rosbag2 import Reader
 
 from insdvl.messages.convert import FIX, IMU, ODOMETRY, TWIST, TWIST_WITH_COVARIANCE, stamp_ns
 from insdvl.recordings.bag_reader import BagReader
@@ -239,3 +240,26 @@ def test_what_cannot_be_written_is_named(tmp_path: Path) -> None:
             bag.write(Raw("/own", "our_msgs/msg/Own", 0, b""))
     with pytest.raises(ValueError, match="a covariance must have 9 values, got 36"):
         imu_message(0, "imu", np.zeros(3), np.zeros(3), np.eye(6))
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_chunks_whose_times_overlap_are_read_in_the_order_of_the_times(
+    tmp_path: Path, compressed: bool
+) -> None:
+    """As the library itself reads them, one message after the other."""
+    rng = np.random.default_rng(5)
+    times_ns = rng.permutation(400) // 4 * 4 + 500 * np.arange(400) // 60  # some times are equal
+    with BagWriter(tmp_path / "bag", compressed=compressed) as bag:
+        for k, time_ns in enumerate(times_ns.tolist()):
+            topic, frame_id = ("/imu", "imu") if k % 3 else ("/other", "x" * 20_000)
+            message = imu_message(k + 1, frame_id, rng.normal(size=3), rng.normal(size=3))
+            bag.write(encode(topic, time_ns + 1, message))
+    for topics in {"/imu"}, {"/imu", "/other"}:
+        with Reader(tmp_path / "bag") as reader:
+            assert sum(len(storage.chunks) for storage in reader.storage.storages) > 2
+            chosen = [c for c in reader.connections if c.topic in topics]
+            expected = [(c.topic, t, data) for c, t, data in reader.messages(chosen)]
+        with BagReader(tmp_path / "bag") as bag:
+            found = [(raw.topic, raw.time_ns, raw.data) for raw in bag.raw(topics)]
+        assert found == expected
+        assert len(found) > 200

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from recordings import REPLAY, record
+from whole import Whole, fold_whole
 
 from insdvl import cli
 from insdvl.messages.convert import TWIST
@@ -32,7 +33,7 @@ from insdvl.recordings.drivers import DEFINITIONS, Told, dvl_message, dvl_raw
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import constant
 from insdvl.simulation.trajectories import AUV
-from insdvl.studies.replay.fold import Replayed, fold_recording, read
+from insdvl.studies.replay.fold import fold_recording, read
 
 START_NS = 1_700_000_000_000_000_000
 
@@ -83,10 +84,10 @@ def save(path: Path, raws: list[Raw], storage: str = "mcap") -> Path:
 
 
 @pytest.fixture(scope="module")
-def plain(mission: Mission, raws: list[Raw], tmp_path_factory: pytest.TempPathFactory) -> Replayed:
+def plain(mission: Mission, raws: list[Raw], tmp_path_factory: pytest.TempPathFactory) -> Whole:
     """The recording of a TwistStamped."""
     path = save(tmp_path_factory.mktemp("plain") / "bag", raws)
-    return fold_recording(read(path, REPLAY), parameters_of(mission))
+    return fold_whole(read(path, REPLAY), parameters_of(mission))
 
 
 @pytest.mark.parametrize(
@@ -94,26 +95,26 @@ def plain(mission: Mission, raws: list[Raw], tmp_path_factory: pytest.TempPathFa
     [(kind, ("mcap", "sqlite3")[k % 2]) for k, kind in enumerate(TYPES)],
 )
 def test_a_bag_of_each_type_is_replayed(
-    tmp_path: Path, mission: Mission, raws: list[Raw], plain: Replayed, kind: str, storage: str
+    tmp_path: Path, mission: Mission, raws: list[Raw], plain: Whole, kind: str, storage: str
 ) -> None:
     """To the state of the same velocities as a TwistStamped, without the driver's package."""
     path = save(tmp_path / "bag", as_driver(raws, kind), storage)
     with BagReader(path) as bag:
         assert bag.topics["/dvl"].type == kind
-    replayed = fold_recording(read(path, REPLAY), parameters_of(mission))
+    replayed, found, _ = fold_whole(read(path, REPLAY), parameters_of(mission))
     if kind == NUCLEUS_WATER:
         assert {(r.topic, r.reason): n for r, n in replayed.refused.items()} == {
             (DVL, "through_water"): len(mission.dvl_stamps_ns)
         }
         return
     assert not replayed.refused
-    states, expected = replayed.fold.states["nav"], plain.fold.states["nav"]
+    states, expected = found["nav"], plain.states["nav"]
     if kind == NUCLEUS_BOTTOM:  # in single precision
         np.testing.assert_allclose(states["v_n"], expected["v_n"], atol=1e-6)
     else:
         np.testing.assert_array_equal(states["v_n"], expected["v_n"])
         np.testing.assert_array_equal(states["P"], expected["P"])
-    assert len(replayed.updates) == len(plain.updates) == len(mission.dvl_stamps_ns)
+    assert len(replayed.updates) == len(plain.replayed.updates) == len(mission.dvl_stamps_ns)
 
 
 CONFIG = """

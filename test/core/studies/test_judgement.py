@@ -62,7 +62,7 @@ def judged(mission: Mission, **changes: Any) -> tuple[Verdict, Replayed]:
     parameters = build(FilterParameters, RIGHT | names)
     recording = [raw._replace(topic=TOPICS[raw.topic]) for raw in record(mission, every=100)]
     replayed = fold_recording(recording, parameters)
-    return verdict.verdict(replayed, parameters, report(recording, replayed)), replayed
+    return verdict.verdict(replayed, parameters, report(replayed)), replayed
 
 
 def reports(nu: Array, S: Array) -> list[UpdateReport]:

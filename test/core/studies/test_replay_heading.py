@@ -1,5 +1,6 @@
 """A recording with a heading: from a topic of its own, and in the messages of the IMU."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -7,23 +8,25 @@ import numpy as np
 import pytest
 from recordings import FORM, REPLAY, record, save
 from told import TOLD
+from whole import States
 
+from insdvl.messages.feed import Feed
 from insdvl.messages.topics import HEADING, IMU
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build
 from insdvl.recordings.bag_reader import BagReader
 from insdvl.recordings.bag_writer import BagWriter
-from insdvl.recordings.base import BagError, decode, encode
+from insdvl.recordings.base import BagError, Raw, decode, encode
 from insdvl.recordings.messages import message_of
 from insdvl.simulation.messages import heading_messages, imu_messages
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import constant
 from insdvl.simulation.sensors.heading import HeadingModel
 from insdvl.simulation.trajectories import AUV
+from insdvl.studies.replay.consumer import Consumer
 from insdvl.studies.replay.fold import fold_recording, read
-from insdvl.studies.replay.output_bag import write_bag
+from insdvl.studies.replay.output_bag import OutputBag
 from insdvl.studies.replay.scores import report
-from insdvl.studies.replay.track import track_of
 
 
 @pytest.fixture(scope="module")
@@ -32,6 +35,19 @@ def mission() -> Mission:
     return simulate(
         AUV, constant(variances), seed=11, duration=10.0, heading=HeadingModel(rate=100.0)
     )
+
+
+class Written(Consumer):
+    """Writes the messages."""
+
+    def __init__(self, bag: BagWriter, parameters: FilterParameters) -> None:
+        self._bag, self._parameters = bag, parameters
+
+    def begin(self, feed: Feed) -> None:
+        self.output = OutputBag(self._bag, self._parameters, feed)
+
+    def messages(self, raws: Sequence[Raw]) -> None:
+        self.output.messages(raws)
 
 
 def settings(topic: str) -> FilterParameters:
@@ -61,15 +77,17 @@ def test_a_heading_is_read_from_its_topic_and_from_the_messages_of_the_imu(
     for path, topic in ((apart, HEADING), (save(tmp_path / "together", together), IMU)):
         parameters = settings(topic)
         recording = read(path, REPLAY, parameters)
-        replayed = fold_recording(recording, parameters)
-        numbers = report(recording, replayed)
+        states = States()
+        with BagWriter(tmp_path / f"{path.name}-out") as bag:
+            written = Written(bag, parameters)
+            replayed = fold_recording(recording, parameters, [states, written])
+            written.output.updates(replayed.fold.filter, replayed.updates)
+        numbers = report(replayed)
         assert numbers["heading_accepted"] == 20  # at most two a second
         assert numbers["heading_rejected"] == 0
         assert 0.3 < numbers["heading_nis_mean"] < 2.0
         assert numbers["heading_rmse_deg"] < 3.0
-        found.append(replayed)
-        with BagWriter(tmp_path / f"{path.name}-out") as bag:
-            write_bag(bag, recording, replayed, parameters, track_of(replayed, 0.0))
+        found.append(states.parts[-1])
         with BagReader(tmp_path / f"{path.name}-out") as bag:
             innovations = [
                 decode(raw._replace(topic=raw.topic)).message
@@ -78,7 +96,7 @@ def test_a_heading_is_read_from_its_topic_and_from_the_messages_of_the_imu(
         assert len(innovations) == 20
         nu = [u.report.innovation[0] for u in replayed.updates if u.report.rows == 1]
         np.testing.assert_allclose([m.twist.twist.angular.z for m in innovations], -np.array(nu))
-    a, b = (replayed.fold.states["nav"] for replayed in found)
+    a, b = (states["nav"] for states in found)
     np.testing.assert_array_equal(a["C_n_b"], b["C_n_b"])
     np.testing.assert_array_equal(a["P"], b["P"])
 
@@ -87,7 +105,7 @@ def test_an_imu_without_orientation_is_named(mission: Mission, tmp_path: Path) -
     path = save(tmp_path / "bag", record(mission))
     parameters = settings(IMU)
     recording = read(path, REPLAY, parameters)
-    numbers = report(recording, fold_recording(recording, parameters))
+    numbers = report(fold_recording(recording, parameters))
     assert numbers["heading_rejected_by_reason"] == {"no_data": 1000}
     assert numbers["rejected"] == {"heading: no_data": 1000}
     assert numbers["imu_samples"] == 1000

@@ -1,4 +1,4 @@
-"""`insdvl results`: the page says what its numbers say, and what it refuses."""
+"""`insdvl results`: the pages say what their numbers say, and what it refuses."""
 
 import json
 from pathlib import Path
@@ -11,7 +11,8 @@ from insdvl.jobs.pool import open_pool
 from insdvl.studies.evaluation.approaches import Setting
 from insdvl.studies.evaluation.comparison import Plan, compare
 from insdvl.studies.results.command import PARTS, documents
-from insdvl.studies.results.page import results_page
+from insdvl.studies.results.forest import groups
+from insdvl.studies.results.page import PAGES, pages
 from insdvl.studies.results.targets import row
 
 DOCS = Path(__file__).parents[3] / "docs"
@@ -21,23 +22,43 @@ def results(folder: Path, *options: str) -> int:
     return main(["results", "--out", str(folder), "--jobs", "1", *options])
 
 
-def test_the_page_in_docs_is_the_one_of_its_numbers() -> None:
+def test_the_pages_in_docs_are_those_of_their_numbers() -> None:
     found = documents(DOCS / "results")
     assert set(found) == set(PARTS)
-    assert (DOCS / "results.md").read_text() == results_page(found)
+    for name, text in pages(found).items():
+        assert (DOCS / "results" / f"{name}.md").read_text() == text, name
 
 
-def test_pictures_of_the_page_are_there() -> None:
-    text = (DOCS / "results.md").read_text()
-    pictures = [part.partition(")")[0] for part in text.split("](")[1:] if ".png)" in part]
-    assert pictures and all((DOCS / picture).is_file() for picture in pictures)
+def test_pictures_of_the_pages_are_there() -> None:
+    for name in PAGES:
+        text = (DOCS / "results" / f"{name}.md").read_text()
+        pictures = [part.partition(")")[0] for part in text.split("](")[1:] if ".png)" in part]
+        assert all((DOCS / "results" / picture).is_file() for picture in pictures)
+        assert pictures or name not in ("calibrated", "published")
 
 
-def test_a_page_without_numbers_says_so(tmp_path: Path) -> None:
+def written(folder: Path) -> str:
+    return "".join((folder / "results" / f"{name}.md").read_text() for name in PAGES)
+
+
+def test_pages_without_numbers_say_so(tmp_path: Path) -> None:
     assert results(tmp_path, "--parts", "none") == 0
-    text = (tmp_path / "results.md").read_text()
+    text = written(tmp_path)
     for part in PARTS:
         assert f"Not computed: {part}." in text, part
+    assert (tmp_path / "results" / "forest.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_picture_has_the_ratios_of_the_tables() -> None:
+    """A group for each comparison that has an oracle, whatever rows it has."""
+    found = documents(DOCS / "results")
+    drawn = groups(found)
+    learned = row(found["wide-calibrated"], "hcf default")
+    assert learned is not None
+    ratios = drawn["wide, simulated"]
+    assert ratios["hcf default"] == tuple(learned["ratio_to"]["oracle"]["body_rmse"])
+    assert all(low <= middle <= high for middle, low, high in ratios.values())
+    assert not groups({})
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +74,7 @@ def test_targets_are_judged_by_the_numbers(document: dict) -> None:
         learned = row(document, "hcf default")
         assert learned is not None
         learned["ratio_to"]["oracle"]["body_rmse"] = [1.0, 0.9, upper_end]
-        text = results_page({"varying-calibrated": document})
+        text = pages({"varying-calibrated": document})["targets"]
         (line,) = [
             x for x in text.splitlines() if "`varying`: body velocity, learned / oracle" in x
         ]
@@ -68,7 +89,7 @@ def test_the_tables_have_the_numbers_of_the_document(document: dict, tmp_path: P
     file = tmp_path / "results" / "varying-calibrated.json"
     file.write_text(json.dumps(document))
     assert results(tmp_path, "--parts", "none") == 0
-    text = (tmp_path / "results.md").read_text()
+    text = written(tmp_path)
     oracle = row(document, "oracle")
     assert oracle is not None
     assert f"| oracle | {oracle['body_rmse']:.4f} [" in text

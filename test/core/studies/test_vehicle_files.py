@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from whole import fold_whole
 
 from insdvl.arrays import Array
 from insdvl.messages.convert import TWIST_WITH_COVARIANCE
@@ -25,7 +26,7 @@ from insdvl.simulation.noise import constant
 from insdvl.simulation.sensors.dvl import DvlModel
 from insdvl.simulation.sensors.imu import ImuModel
 from insdvl.simulation.trajectories import AUV
-from insdvl.studies.replay.fold import fold_recording, read
+from insdvl.studies.replay.fold import read
 
 ROOT = Path(__file__).parents[3]
 CONFIG = ROOT / "ros_insdvl" / "config"
@@ -141,7 +142,8 @@ def test_a_file_navigates_a_bag_of_its_drivers(tmp_path: Path, vehicle: Vehicle)
     with BagWriter(tmp_path / "bag") as bag:
         for raw in raws:
             bag.write(raw)
-    replayed = fold_recording(read(tmp_path / "bag", replay, parameters), parameters)
+    recording = read(tmp_path / "bag", replay, parameters)
+    replayed, states, _ = fold_whole(recording, parameters)
 
     assert not replayed.refused
     assert not replayed.findings
@@ -151,13 +153,12 @@ def test_a_file_navigates_a_bag_of_its_drivers(tmp_path: Path, vehicle: Vehicle)
     # At a probability of 0.999 one in a thousand is refused by chance: of 150, more than two once
     # in two thousand such flights.
     assert len(used) - sum(used) <= 2
-    fold = replayed.fold
-    rows = np.flatnonzero(fold.states["nav"]["time_ns"] > START_NS + SETTLED * NS)[::5]
+    rows = np.flatnonzero(states["nav"]["time_ns"] > START_NS + SETTLED * NS)[::5]
     assert rows.size > 50
     axes = CONVENTIONS[parameters.frame_convention]
-    k = np.searchsorted(mission.stamps_ns, fold.states["nav"]["time_ns"][rows])
+    k = np.searchsorted(mission.stamps_ns, states["nav"]["time_ns"][rows])
     true = np.einsum("kji,kj->ki", mission.truth.C_n_b[k], mission.truth.v_n[k]) @ axes.body
-    told = [odometry(fold.filter, fold.states, int(row)) for row in rows]
+    told = [odometry(replayed.fold.filter, states, int(row)) for row in rows]
     error = np.array([state.twist_linear for state in told]) - true
     sigma = np.sqrt([np.diag(state.twist_covariance)[:3] for state in told])
     assert np.mean(np.abs(error) < 3.0 * sigma) > 0.95

@@ -46,7 +46,7 @@ def test_a_sinusoid_falls_with_the_order(period: int) -> None:
 def test_the_bound_hardly_acts_on_noise_and_takes_over_in_motion() -> None:
     rng = np.random.default_rng(3)
     noise = 0.01 * rng.standard_normal((2000, N))
-    estimate = bounded(degree_5, 10)
+    estimate = bounded(degree_5, 10, 200)
     lowered = estimate(noise) < degree_5(noise)
     assert lowered.mean() < 0.01
     swaying = noise + np.sin(2.0 * np.pi * np.arange(N) / 25.0)
@@ -57,7 +57,7 @@ def test_the_bound_hardly_acts_on_noise_and_takes_over_in_motion() -> None:
 
 
 def test_order_zero_is_no_bound() -> None:
-    assert bounded(degree_5, 0) is degree_5
+    assert bounded(degree_5, 0, 200) is degree_5
 
 
 def test_the_tuner_uses_it() -> None:

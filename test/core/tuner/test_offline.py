@@ -48,7 +48,9 @@ def test_a_window_is_the_samples_that_end_with_the_closing_one():
     stamps = recording("regular")
     samples = np.arange(6.0) + 10.0 * np.arange(stamps.size)[:, None]
     at, last = tuned(stamps, samples, lambda windows: windows[:, -1], 50, 1.0, NS)
-    np.testing.assert_array_equal(stamps[closing_samples(stamps, 50, 1.0, NS)], at)
+    closing, filled = closing_samples(stamps, 50, 1.0, NS)
+    np.testing.assert_array_equal(stamps[closing], at)
+    np.testing.assert_array_equal(filled, closing + 1)
     assert ((at - START) / NS).tolist() == list(range(1, 16))
     np.testing.assert_array_equal(last, samples[99::100])
     _, first = tuned(stamps, samples, lambda windows: windows[:, 0], 50, 1.0, NS)

@@ -248,7 +248,7 @@ def test_a_wrong_model_is_an_error_at_once():
 def test_window_keeps_the_last_samples_in_order():
     window = Window(5, max_gap_ns=10)
     for k in range(13):
-        assert window.full == (k >= 5)
+        assert window.filled == min(k, 5)
         assert window.add(k, np.arange(6.0) + 10.0 * k)
     expected = np.arange(6.0)[:, None] + 10.0 * np.arange(8, 13)
     np.testing.assert_array_equal(window.samples(), expected)
@@ -261,7 +261,7 @@ def test_window_survives_a_step_back_of_max_gap_only():
     for stamp in (100, 105, 110):
         window.add(stamp, np.zeros(6))
     assert not window.add(100, np.ones(6))
-    assert window.full and window.stamp_ns == 110
+    assert window.filled == 3 and window.stamp_ns == 110
     assert window.add(99, np.ones(6))
-    assert not window.full and window.stamp_ns == 99
+    assert window.filled == 1 and window.stamp_ns == 99
     assert window.counts["restarts"] == 1

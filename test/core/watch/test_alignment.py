@@ -270,4 +270,19 @@ def test_a_replay_tells_what_it_found() -> None:
         parameters = build(FilterParameters, {"frame_convention": convention})
         replayed = fold_recording(recording, parameters)
         assert len(replayed.findings) == found
-        assert report(recording, replayed)["frames"] == replayed.findings
+        assert report(replayed)["frames"] == replayed.findings
+
+
+def test_a_recording_is_explained_at_its_end_as_by_one_who_watches_it(mission: Mission) -> None:
+    wrong = events(mission, w=reversed_axis("x"))
+    parameters = build(FilterParameters, {"frame_convention": "ned"})
+    found = []
+    for thinks in True, False:
+        watch = AlignmentCheck(parameters, thinks=thinks)
+        for event in wrong:
+            watch.add(event)
+        assert bool(watch.findings()) == thinks
+        watch.finish()
+        found.append(watch.findings())
+    assert len(found[0]) == 1
+    assert found[1] == found[0]

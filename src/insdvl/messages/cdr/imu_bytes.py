@@ -17,14 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl.arrays import Array
-from insdvl.messages.cdr.layout import (
-    ENCAPSULATION,
-    Header,
-    Quaternion,
-    Stamp,
-    Vector,
-    decoded_text,
-)
+from insdvl.messages.cdr.layout import ENCAPSULATION, decoded_text
 
 #: Columns of the numbers, in their order in the message.
 ORIENTATION = slice(0, 4)
@@ -37,6 +30,37 @@ COLUMNS = 37
 
 _HEAD = Struct("<4siII")  # encapsulation, seconds, nanoseconds, length of the frame_id
 _NUMBERS = Struct(f"<{COLUMNS}d")
+
+
+class Stamp(NamedTuple):
+    """A builtin_interfaces/Time."""
+
+    sec: int
+    nanosec: int
+
+
+class Header(NamedTuple):
+    """A std_msgs/Header."""
+
+    stamp: Stamp
+    frame_id: str
+
+
+class Vector(NamedTuple):
+    """A geometry_msgs/Vector3."""
+
+    x: float
+    y: float
+    z: float
+
+
+class Quaternion(NamedTuple):
+    """A geometry_msgs/Quaternion."""
+
+    x: float
+    y: float
+    z: float
+    w: float
 
 
 class ImuMessage(NamedTuple):

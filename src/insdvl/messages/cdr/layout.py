@@ -1,6 +1,4 @@
-"""What messages share: how they begin in CDR, strings there, and the parts of their types."""
-
-from typing import NamedTuple
+"""What all messages have in CDR: their beginning, and strings."""
 
 #: CDR, little-endian; alignment counts from behind it.
 ENCAPSULATION = b"\x00\x01\x00\x00"
@@ -23,34 +21,3 @@ def decoded_text(data: bytes) -> str | None:
         return data[:-1].decode()
     except UnicodeDecodeError:
         return None
-
-
-class Stamp(NamedTuple):
-    """A builtin_interfaces/Time."""
-
-    sec: int
-    nanosec: int
-
-
-class Header(NamedTuple):
-    """A std_msgs/Header."""
-
-    stamp: Stamp
-    frame_id: str
-
-
-class Vector(NamedTuple):
-    """A geometry_msgs/Vector3 or Point."""
-
-    x: float
-    y: float
-    z: float
-
-
-class Quaternion(NamedTuple):
-    """A geometry_msgs/Quaternion."""
-
-    x: float
-    y: float
-    z: float
-    w: float

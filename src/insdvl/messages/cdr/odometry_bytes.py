@@ -1,4 +1,4 @@
-"""nav_msgs/Odometry to bytes, one message or many at once, and one from its bytes.
+"""nav_msgs/Odometry as bytes, one message or many at once.
 
 The layout in CDR is fixed but for the two frames, which are the same in all messages of a topic:
 encapsulation, stamp, frame_id, child_frame_id (its length at a multiple of four bytes), and from
@@ -13,58 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from insdvl.arrays import Array, Stamps
-from insdvl.messages.cdr.layout import (
-    ENCAPSULATION,
-    Header,
-    Quaternion,
-    Stamp,
-    Vector,
-    decoded_text,
-    encoded_text,
-)
+from insdvl.messages.cdr.layout import ENCAPSULATION, encoded_text
 from insdvl.navigation.events import NS
 
 _STAMP = Struct("<iI")
-_HEAD = Struct("<4siII")  # encapsulation, stamp, length of the frame_id
 _COUNT = 85  # numbers: position, quaternion, covariance (36), linear, angular, covariance (36)
-_NUMBERS = Struct(f"<{_COUNT}d")
-
-
-class Pose(NamedTuple):
-    """A geometry_msgs/Pose."""
-
-    position: Vector
-    orientation: Quaternion
-
-
-class PoseWithCovariance(NamedTuple):
-    """A geometry_msgs/PoseWithCovariance."""
-
-    pose: Pose
-    covariance: tuple[float, ...]
-
-
-class Twist(NamedTuple):
-    """A geometry_msgs/Twist."""
-
-    linear: Vector
-    angular: Vector
-
-
-class TwistWithCovariance(NamedTuple):
-    """A geometry_msgs/TwistWithCovariance."""
-
-    twist: Twist
-    covariance: tuple[float, ...]
-
-
-class OdometryMessage(NamedTuple):
-    """A message that has the fields of a nav_msgs/Odometry."""
-
-    header: Header
-    child_frame_id: str
-    pose: PoseWithCovariance
-    twist: TwistWithCovariance
 
 
 class OdometryColumns(NamedTuple):
@@ -87,34 +40,6 @@ class OdometryColumns(NamedTuple):
     linear: Array
     angular: Array
     twist_covariance: Array
-
-
-def decode_odometry(data: bytes) -> OdometryMessage | None:
-    """The message, None where it does not fit the layout.
-
-    Args:
-        data: Its bytes in CDR, the four of the encapsulation included.
-    """
-    if len(data) < _HEAD.size:
-        return None
-    encapsulation, seconds, nanoseconds, length = _HEAD.unpack_from(data)
-    child = _HEAD.size + length
-    child += -child % 4 + 4
-    end = child + int.from_bytes(data[child - 4 : child], "little")
-    start = end + (len(ENCAPSULATION) - end) % 8
-    if encapsulation != ENCAPSULATION or len(data) != start + _NUMBERS.size:
-        return None
-    frame_id = decoded_text(data[_HEAD.size : _HEAD.size + length])
-    child_frame_id = decoded_text(data[child:end])
-    if frame_id is None or child_frame_id is None:
-        return None
-    n = _NUMBERS.unpack_from(data, start)
-    return OdometryMessage(
-        Header(Stamp(seconds, nanoseconds), frame_id),
-        child_frame_id,
-        PoseWithCovariance(Pose(Vector(*n[0:3]), Quaternion(*n[3:7])), n[7:43]),
-        TwistWithCovariance(Twist(Vector(*n[43:46]), Vector(*n[46:49])), n[49:85]),
-    )
 
 
 def encode_odometries(frames: tuple[str, str], columns: OdometryColumns) -> Iterator[bytes]:

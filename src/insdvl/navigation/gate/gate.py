@@ -1,7 +1,8 @@
 """A chi-square gate that neither locks out nor gives in at once.
 
 One `Gate` for each kind of measurement, with one memory in the state record (state.py). It knows m
-rows; what the measurement tells of is the model's business. In this order a misfit is put down to
+rows; what the measurement tells of is the model's business. A measurement that nothing speaks
+against is judged in ordinary.py; of all others a misfit is put down, in this order, to
 
 1. noise that the filter is not told, where the IMU itself shows it (process_noise/shown.py);
 2. a bad sample of the IMU (imu_step.py);
@@ -17,25 +18,21 @@ from typing import Any
 import numpy as np
 from scipy.special import expit, gammaincinv
 
-from insdvl.arrays import Array
+from insdvl.arrays import Array, Records
 from insdvl.navigation import kalman
 from insdvl.navigation.channels import in_doubt
 from insdvl.navigation.error_state import VELOCITY
 from insdvl.navigation.events import NS
-from insdvl.navigation.gate import imu_step
+from insdvl.navigation.gate import imu_step, ordinary
+from insdvl.navigation.gate.ordinary import LEAST_PATIENCE_NS, RETURNS
 from insdvl.navigation.gate.parameters import GateParameters
 from insdvl.navigation.kalman import Innovated
-from insdvl.navigation.measurements.base import SensorModel, Vehicle
+from insdvl.navigation.measurements.base import Linearised, SensorModel, Vehicle
 from insdvl.navigation.process_noise import shown
 from insdvl.navigation.state import NEVER, State
 
 #: A measurement whose NIS is so many times the gate's limit is surely no chance.
 FAULT = 1.5
-#: A trusted filter may reject for so long [ns] what need not be a fault of the sensor; a longer
-#: interval between measurements bears nothing out; two steps farther apart are no drift.
-LEAST_PATIENCE_NS = 5 * NS
-#: A sensor takes back a claim if it returns by more than this part of it.
-RETURNS = 0.5
 
 #: Whether a sensor has jumped, against the last accepted measurement and by the IMU.
 STEP, NO_STEP, UNKNOWN = range(3)
@@ -58,12 +55,10 @@ class Gate:
         self._model = model
         self._vehicle = vehicle
         #: By the number of rows that were measured.
-        self._limits = [
-            2.0 * float(gammaincinv(m / 2.0, parameters.probability))
-            if parameters.enabled
-            else np.inf
-            for m in range(model.rows + 1)
-        ]
+        self._limits = np.full(model.rows + 1, np.inf)
+        if parameters.enabled:
+            halves = np.arange(model.rows + 1) / 2.0
+            self._limits[:] = 2.0 * gammaincinv(halves, parameters.probability)
         self._patience_ns = round(parameters.max_rejection_time * NS)
 
     def start(self, s: State) -> None:
@@ -76,27 +71,43 @@ class Gate:
     def _memory(self, s: State) -> State:
         return s["gate"][self._name]
 
-    def doubted(self, s: State, stamp_ns: int, R: Array) -> Array:
-        """Covariance (m, m) of the noise, with the error that the sensor may have at a stamp."""
-        g = self._memory(s)
-        return R + g["doubt"] ** 2 * np.eye(len(R)) if _is_doubted(g, stamp_ns) else R
+    def meet(self, state: Records, stamp_ns: int, linearised: Linearised) -> tuple[Innovated, bool]:
+        """Compare a measurement with its prediction, and use it if nothing speaks against it.
+
+        Args:
+            state: (1,) record at the measurement.
+            stamp_ns: Of the measurement.
+            linearised: The measurement.
+
+        Returns:
+            The measurement against its prediction, with the error that the sensor may have in R,
+            and whether it is used; otherwise, with a NIS that is finite, `judge` decides.
+        """
+        memory, constants = state["gate"][self._name], self._vehicle.constants
+        z_minus_h, H, own = linearised
+        R, S, K = np.empty(own.shape), np.empty(own.shape), np.empty(H.shape[::-1])
+        nis, rows, used = ordinary.is_ordinary(
+            state, memory, constants, stamp_ns, z_minus_h, H, own, self._limits, R, S, K
+        )
+        return Innovated(z_minus_h, H, R, S, K, nis, rows), used
 
     def judge(
-        self, s: State, stamp_ns: int, now: Innovated, R: Array
+        self, state: Records, stamp_ns: int, now: Innovated, R: Array
     ) -> tuple[Innovated, bool, str]:
         """Decide on a measurement; the covariance may be inflated, or the state restarted.
 
         Args:
-            s: State at the measurement.
+            state: (1,) record at the measurement.
             stamp_ns: Of the measurement.
-            now: The measurement against its prediction, with `doubted` R; its NIS is finite.
+            now: The measurement against its prediction, see `meet`.
             R: (m, m) covariance of its own noise.
 
         Returns:
             The same, with the error that it may have in R; whether it is used; and the reason:
             empty, ``gate``, or ``restarted`` where the state was set from it.
         """
-        g, m, limit = self._memory(s), self._model.rows, self._limits[now.rows]
+        s = state[0]
+        g, m, limit = self._memory(s), self._model.rows, float(self._limits[now.rows])
         now = self._take_back(s, stamp_ns, now, R)
         fair = self._fair(s, now)
         if fair.nis > limit and self._imu_explains(s, stamp_ns, fair, limit):
@@ -116,40 +127,27 @@ class Gate:
         if not goes_on:
             if not fair.nis > limit:
                 g["drifts"] = 0
-                self._note_claim(g, now)
+                rejected_from_ns = int(g["rejected_from_ns"])
+                ordinary.note_claim(g["claim"], g["first"], rejected_from_ns, now.innovation)
                 return now, True, ""
             if not self._is_fault(s, stamp_ns, fair, limit):
                 return self._with_drift(s, stamp_ns, now, fair, limit), True, ""
         if goes_on or fair.nis > FAULT * limit:
             g["fault"][:m], g["fault_ns"] = now.innovation, stamp_ns
-        return now, *self._reject(s, stamp_ns, fair)
+        return now, *self._reject(state, stamp_ns, fair)
 
-    def accept(self, s: State, stamp_ns: int, left: Array) -> None:
+    def accept(self, state: Records, stamp_ns: int, H: Array, K: Array, left: Array) -> None:
         """A measurement has corrected the state.
 
         Args:
-            s: State, corrected.
+            state: (1,) record, corrected.
             stamp_ns: Of the measurement.
+            H: (m, n) Jacobian at the prediction.
+            K: (n, m) gain.
             left: (m,) innovation that the correction left.
         """
-        self._memory(s)["left"][: len(left)] = left
-        self._bear_out(s, stamp_ns)
-
-    def _bear_out(self, s: State, stamp_ns: int) -> None:
-        g = self._memory(s)
-        if g["accepted_ns"] != NEVER:
-            since_ns = stamp_ns - int(g["accepted_ns"])
-            steady = since_ns <= LEAST_PATIENCE_NS and g["rejected_from_ns"] == NEVER
-            # What was contradicted, or not looked at, counts double against the filter.
-            trust_ns = int(g["trusted_for"]) + (since_ns if steady else -2 * since_ns)
-            if _is_doubted(g, stamp_ns):
-                g["trusted_for"] = 0
-            elif not in_doubt(s):
-                g["trusted_for"] = min(max(trust_ns, 0), self._patience_ns)
-        g["accepted_ns"] = stamp_ns
-        if self._model.tells_velocity:
-            s["channels"]["told_ns"] = stamp_ns
-        _trust_sensor(g)
+        memory, tells = state["gate"][self._name], self._model.tells_velocity
+        ordinary.accept(state, memory, stamp_ns, H, K, left, self._patience_ns, tells)
 
     # ---------------------------------------------------------------- the filter, or its IMU
 
@@ -206,8 +204,8 @@ class Gate:
         the IMU may have drifted in between. The likelihoods of the two explanations are compared.
         """
         g = self._memory(s)
-        known = g["fault_ns"] != NEVER and not in_doubt(s)
-        if not known or stamp_ns - g["rejected_from_ns"] >= g["patient_for"]:
+        known = int(g["fault_ns"]), int(g["rejected_from_ns"]), int(g["patient_for"])
+        if not ordinary.may_go_on(*known, in_doubt(s), stamp_ns):
             return 0.0
         S_step = self._step_covariance(s, stamp_ns - int(g["fault_ns"]), now)
         step = now.innovation - g["fault"][: self._model.rows]
@@ -246,8 +244,9 @@ class Gate:
         closed = channels["gap_ns"] > self._memory(s)["accepted_ns"]
         return bool(closed or open_ns > self._vehicle.constants[0]["gap_ns"])
 
-    def _reject(self, s: State, stamp_ns: int, now: Innovated) -> tuple[bool, str]:
+    def _reject(self, state: Records, stamp_ns: int, now: Innovated) -> tuple[bool, str]:
         """Reject, but not for ever: give in to the sensor, then restart from it."""
+        s = state[0]
         g, m = self._memory(s), self._model.rows
         if g["rejected_from_ns"] == NEVER:
             g["rejected_from_ns"], g["first"][:m] = stamp_ns, now.innovation
@@ -267,7 +266,8 @@ class Gate:
             elif since_ns >= 2 * g["patient_for"]:
                 self._model.restart(s, now.innovation, now.R)
                 g["left"] = 0.0
-                self._bear_out(s, stamp_ns)
+                memory, tells = state["gate"][self._name], self._model.tells_velocity
+                ordinary.bear_out(state, memory, stamp_ns, self._patience_ns, tells)
                 g["restarts"] += 1
                 return True, "restarted"
         return False, "gate"
@@ -301,12 +301,6 @@ class Gate:
 
     # ---------------------------------------------------------------- what a sensor claims
 
-    def _note_claim(self, g: State, now: Innovated) -> None:
-        """A measurement that is used, but repeats what was rejected, is a claim."""
-        first = g["first"][: self._model.rows]
-        if g["rejected_from_ns"] != NEVER and now.innovation @ first > RETURNS * first @ first:
-            g["claim"][: self._model.rows] = first
-
     def _returns(self, s: State, stamp_ns: int, now: Innovated) -> bool:
         """Whether a sensor that the filter gave in to jumps back to where it was before.
 
@@ -335,7 +329,7 @@ def _doubt(g: State, error: float, from_ns: int, lasts_ns: int) -> None:
 
 
 def _is_doubted(g: State, stamp_ns: int) -> bool:
-    return bool(g["doubt_from_ns"] != NEVER and stamp_ns < g["doubt_from_ns"] + g["doubt_for"])
+    return ordinary.is_doubted(int(g["doubt_from_ns"]), int(g["doubt_for"]), stamp_ns)
 
 
 def _trust_sensor(g: State) -> None:

@@ -8,7 +8,6 @@ directions, and a stream that already is NED/FRD passes through ``NED`` unchange
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array
 from insdvl.navigation.geometry.rotation import quaternions
@@ -45,7 +44,14 @@ CONVENTIONS = {"enu": ENU, "ned": NED}
 
 def rotation_from_rpy(rpy: Array) -> Array:
     """Rotation (3, 3) from roll, pitch, yaw [rad]: R = Rz(yaw) Ry(pitch) Rx(roll) (REP-103)."""
-    return Rotation.from_euler("xyz", rpy).as_matrix()
+    (sr, sp, sy), (cr, cp, cy) = np.sin(rpy), np.cos(rpy)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
 
 
 def rpy_from_rotation(C: Array) -> Array:
@@ -62,7 +68,17 @@ def rpy_from_rotation(C: Array) -> Array:
 
 def rotation_from_quaternion(q_xyzw: Array) -> Array:
     """Rotation (3, 3) from a quaternion (x, y, z, w); it is normalised, zero is a ValueError."""
-    return Rotation.from_quat(q_xyzw).as_matrix()
+    norm = float(np.linalg.norm(q_xyzw))
+    if norm == 0.0:
+        raise ValueError("a quaternion must not be zero")
+    x, y, z, w = np.asarray(q_xyzw) / norm
+    return np.array(
+        [
+            [w * w + x * x - y * y - z * z, 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+            [2.0 * (x * y + w * z), w * w - x * x + y * y - z * z, 2.0 * (y * z - w * x)],
+            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z],
+        ]
+    )
 
 
 def quaternion_from_rotation(C: Array) -> Array:
@@ -70,3 +86,26 @@ def quaternion_from_rotation(C: Array) -> Array:
     q_xyzw = np.empty((*C.shape[:-2], 4))
     quaternions(q_xyzw.reshape(-1, 4), np.ascontiguousarray(C).reshape(-1, 3, 3))
     return q_xyzw
+
+
+def rotation_from_vector(phi: Array) -> Array:
+    """Rotations exp([phi x]) (..., 3, 3) of rotation vectors (..., 3) [rad].
+
+    With K = [phi x] and a = |phi|, exp(K) = I + sin(a) / a K + 2 (sin(a / 2) / a)^2 K^2, which is
+    exact for small angles too.
+    """
+    x, y, z = np.moveaxis(np.asarray(phi, dtype=np.float64), -1, 0)
+    zero = np.zeros_like(x)
+    K = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*zero.shape, 3, 3)
+    angle = np.sqrt(x * x + y * y + z * z)[..., None, None]
+    half = np.sinc(angle / (2.0 * np.pi))
+    return np.eye(3) + np.sinc(angle / np.pi) * K + 0.5 * half * half * (K @ K)
+
+
+def vector_from_rotation(C: Array) -> Array:
+    """Rotation vectors (..., 3) [rad], of at most pi, of rotations (..., 3, 3)."""
+    q_xyzw = quaternion_from_rotation(C)
+    sine = np.linalg.norm(q_xyzw[..., :3], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, q_xyzw[..., 3:])
+    scale = np.where(sine > 0.0, angle / np.where(sine > 0.0, sine, 1.0), 2.0)
+    return scale * q_xyzw[..., :3]

@@ -15,7 +15,7 @@ whole example.
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -82,8 +82,7 @@ class Vehicle:
         return self.axes.body @ np.array(position) - self.l_b_imu
 
 
-@dataclass(frozen=True)
-class Turn:
+class Turn(NamedTuple):
     """The turn rate at a measurement.
 
     Attributes:
@@ -96,23 +95,23 @@ class Turn:
     covariance: Array
 
 
-@dataclass(frozen=True)
-class Past:
+class Past(NamedTuple):
     """What a sensor has read before a measurement.
 
     Attributes:
         readings: (k, m) the last ones that no claim of their own has refused, the newest first.
+        equal: How many of them the measurement repeats.
         repeats: How many readings in a row before the measurement were equal to it.
         contradicted: Whether the gate has rejected the measurement before it.
     """
 
     readings: Array
+    equal: int
     repeats: int
     contradicted: bool
 
 
-@dataclass(frozen=True)
-class Linearised:
+class Linearised(NamedTuple):
     """A measurement at a state: z - h = H dx + noise.
 
     A component that was not measured has a row of zeros in H, an innovation of zero, and noise that

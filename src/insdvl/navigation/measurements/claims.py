@@ -5,12 +5,14 @@ publishers send the same. But a sensor with a coarse resolution repeats itself b
 are told apart by the probability of the chance (docs/explanation/filter.md, "Repeats").
 """
 
+import math
 from math import comb, pi, sqrt
 from typing import Any
 
 import numpy as np
 
 from insdvl.arrays import Array
+from insdvl.kernels import kernel
 from insdvl.navigation.events import Measurement
 from insdvl.navigation.measurements.base import Past, SensorModel
 from insdvl.navigation.state import NEVER, State
@@ -33,18 +35,43 @@ def refusal(memory: State, model: SensorModel[Any], event: Measurement) -> str:
         model: Of its sensor.
         event: The measurement.
     """
-    reading = model.reading(event)
+    reading = np.array(model.reading(event))
     m, readings = len(reading), memory["readings"]
-    known = readings[:, :m][np.isfinite(readings[:, 0])]
-    again = len(known) > 0 and bool((known[0] == reading).all())
+    known, equal, again = _compare(readings, reading)
     repeats = int(memory["repeats"]) + 1 if again else 0
-    reason = model.refusal(event, Past(known, repeats, memory["rejected_from_ns"] != NEVER))
+    contradicted = int(memory["rejected_from_ns"]) != NEVER
+    reason = model.refusal(event, Past(readings[:known, :m], equal, repeats, contradicted))
     if not reason:
-        readings[1:] = readings[:-1].copy()
-        readings[0, :m] = reading
+        _remember(readings, reading)
     if again or not reason:
         memory["repeats"] = repeats
     return reason
+
+
+@kernel
+def _compare(readings: Array, reading: Array) -> tuple[int, int, bool]:
+    """How many readings (k, m), the newest first, are known; how many equal this one; the newest.
+
+    One that is not known, nan, equals none.
+    """
+    known, equal, again = 0, 0, False
+    for k in range(len(readings)):
+        others = 0
+        for i in range(len(reading)):
+            others += readings[k, i] != reading[i]
+        known += math.isfinite(readings[k, 0])
+        equal += others == 0
+        again = again or (k == 0 and others == 0)
+    return known, equal, again
+
+
+@kernel
+def _remember(readings: Array, reading: Array) -> None:
+    """Put a reading before the others; the last one is forgotten."""
+    for k in range(len(readings) - 1, 0, -1):
+        readings[k] = readings[k - 1]
+    for i in range(len(reading)):
+        readings[0, i] = reading[i]
 
 
 def is_frozen(past: Past, least: int) -> bool:

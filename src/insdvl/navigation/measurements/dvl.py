@@ -42,7 +42,7 @@ from insdvl.navigation.measurements.base import (
 )
 from insdvl.navigation.prediction.strapdown import turn_rate
 from insdvl.navigation.start.automatic import UNKNOWN_SPEED
-from insdvl.navigation.state import State
+from insdvl.navigation.state import CORE, Constants, State, Workspace
 from insdvl.parameters.declaration import lever_arm, parameter, time_offset
 
 #: Most tilt, one sigma [rad], that an inflation takes for possible.
@@ -63,6 +63,8 @@ TYPES = (
 
 # First elements of the blocks, for the kernel.
 _VELOCITY, _ATTITUDE, _GYROSCOPE_BIAS = VELOCITY.start, ATTITUDE.start, GYROSCOPE_BIAS.start
+#: Of optional error states that are not in use.
+_NONE = -1
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,11 +253,13 @@ class DvlModel(SensorModel[Dvl]):
         self._C_b_d = axes.body_rotation(rotation_from_rpy(np.array(parameters.mount)))
         self._C_d_b = np.ascontiguousarray(self._C_b_d.T)
         self._l_b = vehicle.lever_arm(parameters.lever_arm)
-        self._l_x = cross_matrix(self._l_b)
         self._parameters = parameters
         self._R = np.diag(np.square(parameters.noise_std))
-        self._error = vehicle.blocks.get("dvl_error")
-        self._mount = vehicle.blocks.get("dvl_mount")
+        # Of the first of the optional error states, for the kernel.
+        self._error_at, self._mount_at = (
+            vehicle.blocks[block].start if block in vehicle.blocks else _NONE
+            for block in ("dvl_error", "dvl_mount")
+        )
         self.turn_window_ns = round(parameters.gyro_average * NS)
 
     def reading(self, event: Dvl) -> Array:
@@ -264,12 +268,15 @@ class DvlModel(SensorModel[Dvl]):
 
     def refusal(self, event: Dvl, past: Past) -> str:
         """``too_fast``, ``no_lock`` or ``repeated``: what a DVL without bottom lock reports."""
-        if hypot(*event.v_d) > self._parameters.max_speed:
+        speed = hypot(*event.v_d)
+        if speed > self._parameters.max_speed:
             return "too_fast"
         if not self._parameters.lock_check:
             return ""
-        if not event.v_d.any():
+        if speed == 0.0:
             return "no_lock"
+        if not past.equal:
+            return ""
         sigma = np.sqrt(np.abs(np.diagonal(self.noise(event))))
         chance = claims.repeat_chance(event.v_d, past.readings, sigma)
         return "repeated" if chance < claims.LEAST_CHANCE else ""
@@ -305,24 +312,11 @@ class DvlModel(SensorModel[Dvl]):
         attitude column, from the Earth rate in w_nb (docs/explanation/error-state.md). The turn
         rate is measured too: R has its share [l x] Cov(w) [l x]^T.
         """
-        vehicle, optional = self._vehicle, state[0]["nav"]["optional"]
-        h, H = np.empty(3), np.zeros((3, vehicle.n))
-        C_d_b, turn_jacobian = self._C_d_b, np.eye(3)
-        if self._mount is not None:
-            # exp(-[m x]) turns by the mount that is estimated beside dvl.mount; J is its mean.
-            M = np.empty((3, 3))
-            exponential(M, turn_jacobian, *-optional[vehicle.optional("dvl_mount")])
-            C_d_b = M @ C_d_b
-        _predict(state, vehicle.workspace, vehicle.constants, C_d_b, self._l_b, turn.w_ib_b, h, H)
-        if self._mount is not None:
-            H[:, self._mount] = cross_matrix(h) @ turn_jacobian
-        z_minus_h = event.v_d - h
-        if self._error is not None:
-            H[:, self._error] = np.eye(3)
-            z_minus_h -= optional[vehicle.optional("dvl_error")]
-        arm = C_d_b @ self._l_x
-        R = self.noise(event) + arm @ turn.covariance @ arm.T
-        R = (R + R.T) / 2
+        vehicle = self._vehicle
+        z_minus_h, H, R = np.array(event.v_d), np.zeros((3, vehicle.n)), np.empty((3, 3))
+        records = state, vehicle.workspace, vehicle.constants
+        of_dvl = self._C_d_b, self._l_b, self._error_at, self._mount_at, self.noise(event)
+        _linearise(*records, *of_dvl, turn.w_ib_b, turn.covariance, z_minus_h, H, R)
         if not all(event.measured):
             _leave_out(~np.array(event.measured), state[0]["nav"]["P"], z_minus_h, H, R)
         return Linearised(z_minus_h, H, R)
@@ -401,18 +395,65 @@ def _leave_out(rows: NDArray[np.bool_], P: Array, z_minus_h: Array, H: Array, R:
 
 
 @kernel
-def _predict(
+def _linearise(
     state: Records,
     workspace: Records,
     constants: Records,
     C_d_b: Array,
     l_b: Array,
+    error_at: int,
+    mount_at: int,
+    noise: Array,
+    w_ib_b: Array,
+    w_covariance: Array,
+    z_minus_h: Array,
+    H: Array,
+    R: Array,
+) -> None:
+    """Innovation, H and R of `DvlModel.linearise`; ``z_minus_h`` (3,) has z and becomes z - h."""
+    s, optional = state[0], state[0].nav.optional
+    C, h, arm = np.empty((3, 3)), np.empty(3), np.empty((3, 3))
+    C[:] = C_d_b
+    J, M = np.empty((3, 3)), np.empty((3, 3))
+    if mount_at != _NONE:
+        # exp(-[m x]) turns by the mount that is estimated beside dvl.mount; J is its mean.
+        k = mount_at - CORE
+        exponential(M, J, -optional[k], -optional[k + 1], -optional[k + 2])
+        product(C, M, C_d_b)
+    _predict(s, workspace[0], constants[0], C, l_b, w_ib_b, h, H, arm)
+    if mount_at != _NONE:
+        h_x = np.empty((3, 3))
+        skew(h_x, h)
+        product(M, h_x, J)
+        error_state.set_block(H, 0, mount_at, 1.0, M)
+    for i in range(3):
+        z_minus_h[i] -= h[i]
+        if error_at != _NONE:
+            H[i, error_at + i] = 1.0
+            z_minus_h[i] -= optional[error_at - CORE + i]
+    product(M, arm, w_covariance)
+    product_transposed(J, M, arm)
+    for i in range(3):
+        for j in range(3):
+            R[i, j] = ((noise[i, j] + J[i, j]) + (noise[j, i] + J[j, i])) / 2.0
+
+
+@kernel
+def _predict(
+    s: State,
+    w: Workspace,
+    c: Constants,
+    C_d_b: Array,
+    l_b: Array,
     w_ib_b: Array,
     h: Array,
     H: Array,
+    arm: Array,
 ) -> None:
-    """h (3,) without the DVL's own error, and its Jacobian H (3, n) in the first 15 columns."""
-    s, w, c = state[0], workspace[0], constants[0]
+    """h (3,) without the DVL's own error, and its Jacobian H (3, n) in the first 15 columns.
+
+    ``arm`` (3, 3) is C_d_b [l x], by which the turn rate counts.
+    """
     nav = s.nav
     M, N, a_x = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     rate, w_nb_b, v_b, v_l = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
@@ -427,15 +468,14 @@ def _predict(
 
     product_transposed(M, C_d_b, nav.C_n_b)
     error_state.set_block(H, 0, _VELOCITY, 1.0, M)
-    skew(a_x, l_b)
-    product(N, C_d_b, a_x)
-    error_state.set_block(H, 0, _GYROSCOPE_BIAS, 1.0, N)
-    product_transposed(M, N, nav.C_n_b)
-    skew(a_x, w.w_in_n)
-    product(N, M, a_x)
-    error_state.set_block(H, 0, _ATTITUDE, 1.0, N)
     if not c.invariant:
-        product_transposed(M, C_d_b, nav.C_n_b)
         skew(a_x, nav.v_n)
         product(N, M, a_x)
-        error_state.add_block(H, 0, _ATTITUDE, 1.0, N)
+        error_state.set_block(H, 0, _ATTITUDE, 1.0, N)
+    skew(a_x, l_b)
+    product(arm, C_d_b, a_x)
+    error_state.set_block(H, 0, _GYROSCOPE_BIAS, 1.0, arm)
+    product_transposed(M, arm, nav.C_n_b)
+    skew(a_x, w.w_in_n)
+    product(N, M, a_x)
+    error_state.add_block(H, 0, _ATTITUDE, 1.0, N)

@@ -120,7 +120,7 @@ class Kept:
         for array, first, last in (
             (self.track, count, size),
             (self.verdicts, count, size),
-            (self.states, count // self.every, size // self.every),
+            (self._bytes, count // self.every, size // self.every),  # faster than by fields
         ):
             array[: last - first] = array[first:last].copy()
 

@@ -11,18 +11,25 @@ Derivation: docs/explanation/filter.md.
 import numpy as np
 
 from insdvl.arrays import Array
+from insdvl.kernels import kernel
 from insdvl.navigation.channels import FEWEST_CHANGES
 from insdvl.navigation.error_state import (
     ACCELEROMETER_BIAS,
     ATTITUDE,
     GYROSCOPE_BIAS,
     VELOCITY,
+    add_block,
+    set_block,
 )
-from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.earth import gravity
-from insdvl.navigation.geometry.rotation import cross_matrix
+from insdvl.navigation.geometry.rotation import (
+    cross_matrix,
+    product,
+    product_transposed,
+    skew,
+)
 from insdvl.navigation.measurements.base import Vehicle
-from insdvl.navigation.state import NEVER, State
+from insdvl.navigation.state import NEVER, Constants, State
 
 #: The mean of the last changes is known to 15 %: what is shown counts from so much of the told on.
 CLEARLY_MORE = 1.5
@@ -30,6 +37,8 @@ CLEARLY_MORE = 1.5
 #: gains also the estimates of the biases.
 REACHED = slice(VELOCITY.start, GYROSCOPE_BIAS.stop)
 _N = REACHED.stop
+# First elements of the blocks, for the kernels.
+_V, _A, _F, _W = VELOCITY.start, ATTITUDE.start, ACCELEROMETER_BIAS.start, GYROSCOPE_BIAS.start
 
 
 def gravity_matrix(nav: State) -> Array:
@@ -38,72 +47,161 @@ def gravity_matrix(nav: State) -> Array:
     return cross_matrix(np.array([0.0, 0.0, gravity(lat, h)]))
 
 
-def _untold_densities(s: State, vehicle: Vehicle) -> tuple[Array, Array]:
-    """Densities (3, 3) of the noise of both triads that is not told, NED."""
-    c, C = vehicle.constants[0], vehicle.C_b_i
-    if s["channels"]["changes"] < FEWEST_CHANGES:
-        return np.zeros((3, 3)), np.zeros((3, 3))
-    C_n_i, change = s["nav"]["C_n_b"] @ C, s["channels"]["change"]
-    densities = []
-    for name, part in (("Q_f", slice(0, 3)), ("Q_w", slice(3, 6))):
-        shown = change[part] / (2.0 * c["rate"])
-        told = c["density"] * np.diag(C.T @ s["noise"][name] @ C)
-        density = np.where(shown > CLEARLY_MORE * told, shown - told, 0.0)
-        densities.append(C_n_i * density @ C_n_i.T)
-    return densities[0], densities[1]
+@kernel
+def _untold_density(
+    S: Array, C_n_b: Array, C_b_i: Array, Q: Array, change: Array, density: float, rate: float
+) -> bool:
+    """Density (3, 3) of the noise of a triad that is not told, NED; whether there is any.
+
+    Args:
+        S: Result.
+        C_n_b: (3, 3) attitude.
+        C_b_i: (3, 3) rotation from IMU to base_link axes.
+        Q: (3, 3) variance per sample that is told, base_link axes.
+        change: (3,) mean square of the change between neighbours, IMU axes.
+        density: Density per variance that is told [s].
+        rate: Of the IMU [Hz].
+    """
+    C_n_i, any_untold = np.empty((3, 3)), False
+    product(C_n_i, C_n_b, C_b_i)
+    S[:] = 0.0
+    for k in range(3):
+        told = 0.0
+        for a in range(3):
+            for b in range(3):
+                told += C_b_i[a, k] * Q[a, b] * C_b_i[b, k]
+        told *= density
+        shown = change[k] / (2.0 * rate)
+        if shown > CLEARLY_MORE * told:
+            any_untold = True
+            for i in range(3):
+                for j in range(3):
+                    S[i, j] += C_n_i[i, k] * (shown - told) * C_n_i[j, k]
+    return any_untold
 
 
-def advance(s: State, vehicle: Vehicle, stamp_ns: int) -> None:
+@kernel
+def has_excess(excess: Array) -> bool:
+    """Whether there is any untold noise in ``noise.excess`` (12, 12)."""
+    count = 0
+    for i in range(_N):
+        count += excess[i, i] != 0.0
+    return count > 0
+
+
+@kernel
+def _transform(E: Array, B: Array) -> None:
+    """E <- B E B^T, in place, for (12, 12)."""
+    A = np.empty((_N, _N))
+    for i in range(_N):
+        for j in range(_N):
+            total = 0.0
+            for k in range(_N):
+                total += B[i, k] * E[k, j]
+            A[i, j] = total
+    for i in range(_N):
+        for j in range(_N):
+            total = 0.0
+            for k in range(_N):
+                total += A[i, k] * B[j, k]
+            E[i, j] = total
+
+
+@kernel
+def advance(s: State, c: Constants, stamp_ns: int) -> None:
     """Add to ``noise.excess`` what the untold noise has made since it was last advanced.
 
     With the noise n_w of the gyroscopes dv' = [v x] n_w + [g x] psi and psi' = n_w; with that of
     the accelerometers dv' = n_f. For `ned` without [v x].
     """
-    noise, nav = s["noise"], s["nav"]
-    since_ns, noise["excess_ns"] = int(noise["excess_ns"]), stamp_ns
+    noise, nav, channels, since_ns = s.noise, s.nav, s.channels, s.noise.excess_ns
+    noise.excess_ns = stamp_ns
     if since_ns == NEVER or stamp_ns <= since_ns:
         return
-    seconds = (stamp_ns - since_ns) / NS
-    S_f, S_w = _untold_densities(s, vehicle)
-    if not (S_f.any() or S_w.any() or noise["excess"].any()):
+    S_f, S_w, any_untold = np.zeros((3, 3)), np.zeros((3, 3)), False
+    if channels.changes >= FEWEST_CHANGES:
+        C, C_b_i, change = nav.C_n_b, c.C_b_i, channels.change
+        of_f = _untold_density(S_f, C, C_b_i, noise.Q_f, change[:3], c.density, c.rate)
+        of_w = _untold_density(S_w, C, C_b_i, noise.Q_w, change[3:], c.density, c.rate)
+        any_untold = of_f or of_w
+    if not (any_untold or has_excess(noise.excess)):
         return
-    g_x = gravity_matrix(nav)
-    M = cross_matrix(nav["v_n"]) if vehicle.invariant else np.zeros((3, 3))
-    Phi, Q, C = np.eye(_N), np.zeros((_N, _N)), nav["C_n_b"]
-    Phi[VELOCITY, ATTITUDE] = g_x * seconds
-    Phi[VELOCITY, ACCELEROMETER_BIAS] = -C * seconds
-    Phi[VELOCITY, GYROSCOPE_BIAS] = -(M * seconds + g_x * seconds**2 / 2.0) @ C
-    Phi[ATTITUDE, GYROSCOPE_BIAS] = -C * seconds
-    cross = M @ S_w @ g_x.T
-    Q[VELOCITY, VELOCITY] = (S_f + M @ S_w @ M.T) * seconds + (cross + cross.T) * seconds**2 / 2.0
-    Q[VELOCITY, VELOCITY] += g_x @ S_w @ g_x.T * seconds**3 / 3.0
-    Q[VELOCITY, ATTITUDE] = M @ S_w * seconds + g_x @ S_w * seconds**2 / 2.0
-    Q[ATTITUDE, VELOCITY] = Q[VELOCITY, ATTITUDE].T
-    Q[ATTITUDE, ATTITUDE] = S_w * seconds
-    noise["excess"] = Phi @ noise["excess"] @ Phi.T + Q
+    t = (stamp_ns - since_ns) * 1e-9
+    g_n, g_x, v_x = np.zeros(3), np.empty((3, 3)), np.zeros((3, 3))
+    g_n[2] = gravity(nav.llh[0], nav.llh[2])
+    skew(g_x, g_n)
+    if c.invariant:
+        skew(v_x, nav.v_n)
+    Phi, B, M = np.eye(_N), np.empty((3, 3)), np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            B[i, j] = v_x[i, j] * t + 0.5 * t * t * g_x[i, j]
+    product(M, B, nav.C_n_b)
+    set_block(Phi, _V, _A, t, g_x)
+    set_block(Phi, _V, _F, -t, nav.C_n_b)
+    set_block(Phi, _V, _W, -1.0, M)
+    set_block(Phi, _A, _W, -t, nav.C_n_b)
+    E = noise.excess
+    _transform(E, Phi)
+    of_v, of_g = np.empty((3, 3)), np.empty((3, 3))
+    product(of_v, v_x, S_w)
+    product(of_g, g_x, S_w)
+    add_block(E, _V, _V, t, S_f)
+    product_transposed(M, of_v, v_x)
+    add_block(E, _V, _V, t, M)
+    product_transposed(M, of_g, g_x)
+    add_block(E, _V, _V, t**3 / 3.0, M)
+    product_transposed(M, of_v, g_x)
+    for i in range(3):
+        for j in range(3):
+            E[_V + i, _V + j] += 0.5 * t * t * (M[i, j] + M[j, i])
+            cross = t * of_v[i, j] + 0.5 * t * t * of_g[i, j]
+            E[_V + i, _A + j] += cross
+            E[_A + j, _V + i] += cross
+    add_block(E, _A, _A, t, S_w)
+
+
+@kernel
+def corrected(s: State, K: Array, H: Array) -> None:
+    """A measurement has corrected the state with the gain K (n, m) and the Jacobian H (m, n)."""
+    if not has_excess(s.noise.excess):
+        return
+    B = np.eye(_N)
+    for i in range(_N):
+        for j in range(_N):
+            for a in range(H.shape[0]):
+                B[i, j] -= K[i, a] * H[a, j]
+    _transform(s.noise.excess, B)
+
+
+@kernel
+def with_excess(P: Array, excess: Array, n: int) -> Array:
+    """P (n, n) of the error states in use, with the covariance of the untold noise."""
+    of_both = P[:n, :n].copy()
+    for i in range(_N):
+        for j in range(_N):
+            of_both[i, j] += excess[i, j]
+    return of_both
+
+
+def covariance(s: State, n: int) -> Array:
+    """Covariance (n, n) of the error state, with that of the untold noise."""
+    return with_excess(s["nav"]["P"], s["noise"]["excess"], n)
 
 
 def drift(s: State, vehicle: Vehicle, seconds: float) -> Array:
     """Covariance (3, 3) of what the untold noise adds to a drift of the velocity, NED."""
-    S_f, S_w = _untold_densities(s, vehicle)
+    c, noise, channels = vehicle.constants[0], s["noise"], s["channels"]
+    S_f, S_w = np.zeros((3, 3)), np.zeros((3, 3))
+    if channels["changes"] >= FEWEST_CHANGES:
+        of, at = (s["nav"]["C_n_b"], c["C_b_i"]), (c["density"], c["rate"])
+        _untold_density(S_f, *of, noise["Q_f"], channels["change"][:3], *at)
+        _untold_density(S_w, *of, noise["Q_w"], channels["change"][3:], *at)
     g_x = gravity_matrix(s["nav"])
-    tilt = s["noise"]["excess"][ATTITUDE, ATTITUDE] * seconds**2 + S_w * seconds**3 / 3.0
-    return S_f * seconds + g_x @ tilt @ g_x.T
-
-
-def corrected(s: State, K: Array, H: Array) -> None:
-    """A measurement has corrected the state with the gain K (n, m) and the Jacobian H (m, n)."""
-    B = np.eye(_N) - K[REACHED] @ H[:, REACHED]
-    s["noise"]["excess"] = B @ s["noise"]["excess"] @ B.T
+    tilt = noise["excess"][ATTITUDE, ATTITUDE] * seconds**2 + S_w * seconds**3 / 3.0
+    return np.asarray(S_f * seconds + g_x @ tilt @ g_x.T)
 
 
 def restart(s: State) -> None:
     """The state is a new one."""
     s["noise"]["excess"], s["noise"]["excess_ns"] = 0.0, s["nav"]["time_ns"]
-
-
-def covariance(s: State, n: int) -> Array:
-    """Covariance (n, n) of the error state, with that of the untold noise."""
-    P = s["nav"]["P"][:n, :n].copy()
-    P[REACHED, REACHED] += s["noise"]["excess"]
-    return P

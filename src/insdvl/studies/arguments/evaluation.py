@@ -28,6 +28,9 @@ ROWS = (
     "best constant",
     "best constant for SRMSE",
     "closed form",
+    "single band",
+    "least band",
+    "median of spectrum",
     "oracle",
     "zero velocity",
     "perfect heading",
@@ -107,6 +110,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--plot",
         type=Path,
         metavar="FILE",
-        help="PNG output file of errors over time",
+        help="output file of errors over time: .png, .pdf or .svg",
     )
     add_worker_options(parser)

@@ -37,12 +37,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=Path("docs"),
         metavar="DIR",
-        help="output folder (default: ./docs)",
+        help="folder of results/, where numbers and pages go (default: ./docs)",
     )
     parser.add_argument(
         "--parts",
         metavar="NAME,NAME",
-        help="parts to compute, separated by commas, or 'none' to write the page only (default: "
+        help="parts to compute, separated by commas, or 'none' to write the pages only (default: "
         f"all): {', '.join(PARTS)}",
     )
     parser.add_argument(

@@ -121,8 +121,8 @@ def _told_by_imu(bag: BagReader, sensors: Sensors, told: FilterParameters) -> di
         found["frame_convention"] = names[0]
     elif abs(mean[2]) / size < np.sqrt(1.0 - ASIDE**2):
         check = GravityCheck(told.frame_convention, np.eye(3))
-        for sample in first:
-            check.add(sample)
+        stamps_ns = np.array([sample.stamp_ns for sample in first])
+        check.add(stamps_ns, np.array([sample.f_b for sample in first]))
         if check.mean is not None:
             found["imu.mount"] = check.upright_mount()
     return found

@@ -17,6 +17,8 @@ from insdvl.parameters.declaration import build, flatten
 from insdvl.simulation.drawn.scenarios import DRAWN
 from insdvl.simulation.initial_errors import P_0
 from insdvl.simulation.trajectories import AUV
+from insdvl.tuner.features.band_forms import least_band, median_of_spectrum, single_band
+from insdvl.tuner.features.bands import NEAR
 from insdvl.tuner.features.closed_form import degree_5
 from insdvl.tuner.models import Model, ModelError, load_model
 from insdvl.tuner.offline import Estimator
@@ -56,6 +58,9 @@ LEARNED = {
     "dnn default": "dnn-default",
 }
 CLOSED_FORM = "closed form"
+SINGLE_BAND = "single band"
+LEAST_BAND = "least band"
+MEDIAN_OF_SPECTRUM = "median of spectrum"
 ORACLE = "oracle"
 FIRST_CONSTANT = "constant 0.01/0.001"
 SECOND_CONSTANT = "constant 0.2/0.02"
@@ -83,6 +88,9 @@ ROWS = (
     BEST_CONSTANT,
     BEST_CONSTANT_SRMSE,
     CLOSED_FORM,
+    SINGLE_BAND,
+    LEAST_BAND,
+    MEDIAN_OF_SPECTRUM,
     ORACLE,
     ZERO_VELOCITY,
     PERFECT_HEADING,
@@ -93,8 +101,15 @@ FLOORS = (ZERO_VELOCITY, PERFECT_HEADING)
 #: Prefix of the row of a model that does not ship; the path of the model follows.
 OWN_MODEL = "model "
 
-#: Samples in the window of the closed form.
+#: Samples in the window of the closed forms.
 WINDOW = 200
+#: The closed forms, and the largest number of samples that each uses.
+_CLOSED_FORMS: Mapping[str, tuple[Estimator, int]] = {
+    CLOSED_FORM: (degree_5, WINDOW),
+    SINGLE_BAND: (single_band, NEAR),
+    LEAST_BAND: (least_band, NEAR),
+    MEDIAN_OF_SPECTRUM: (median_of_spectrum, NEAR),
+}
 
 
 @dataclass(frozen=True)
@@ -104,8 +119,8 @@ class Approach:
     Attributes:
         name: Name of the row, or of the candidate.
         parameters: Parameters of the filter.
-        q_source: The source of a received Q: the row of a learned model, `CLOSED_FORM` or `ORACLE`;
-            empty where the filter receives none.
+        q_source: The source of a received Q: the row of a learned model, of a closed form, or
+            `ORACLE`; empty where the filter receives none.
     """
 
     name: str
@@ -265,11 +280,17 @@ def fingerprint(rows: Sequence[str]) -> dict[str, str]:
     return {row: found.card["sha256"] for row, found in models.items() if found is not None}
 
 
-def estimator(row: str) -> tuple[Estimator, int]:
-    """The estimator of a row with a learned Q or of `CLOSED_FORM`, and its window in samples.
+def estimator(row: str) -> tuple[Estimator, int, int]:
+    """The estimator of a row with a learned Q or a closed form, with its samples.
+
+    Returns:
+        The estimator, and the least and the largest number of samples that it uses.
 
     Raises:
         ModelError: The model of the row cannot be used.
     """
     found = model(row)
-    return (degree_5, WINDOW) if found is None else (found.variances, found.window)
+    if found is not None:
+        return found.variances, found.window, found.history
+    estimate, history = _CLOSED_FORMS[row]
+    return estimate, WINDOW, history

@@ -167,11 +167,20 @@ class Run:
         every = round(parameters.imu.rate) // _NEES_RATE
         return fold_arrays(parameters, m.stamps_ns, m.f_b, m.w_ib_b, events, every)
 
-    def learned(self, estimate: Estimator, window: int, rate: float) -> tuple[Stamps, Array]:
-        """Output of a tuner with this estimator: stamps (K,) and variances (K, 6)."""
+    def learned(
+        self, estimate: Estimator, window: int, history: int, rate: float
+    ) -> tuple[Stamps, Array]:
+        """Output of a tuner with this estimator: stamps (K,) and variances (K, 6).
+
+        Args:
+            estimate: The estimator.
+            window: Least number of samples that it uses.
+            history: Largest number of samples that it uses.
+            rate: Of the tuner [Hz].
+        """
         m = self.mission
         samples = np.hstack([m.f_b, m.w_ib_b])
-        return tuned(m.stamps_ns, samples, estimate, window, rate, round(MAX_GAP * NS))
+        return tuned(m.stamps_ns, samples, estimate, window, rate, round(MAX_GAP * NS), history)
 
     def _variances(self, source: str) -> tuple[Stamps, Array]:
         if source == ORACLE:

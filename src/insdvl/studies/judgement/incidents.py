@@ -6,10 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from insdvl.navigation.events import NS
-from insdvl.navigation.state import counters
 from insdvl.studies.replay.fold import Replayed
-from insdvl.timeline.fold import Fold
-from insdvl.timeline.output import FoldResult
+from insdvl.studies.replay.part import Part
 
 #: What happens again within this time is one incident [s].
 TOGETHER = 5.0
@@ -44,14 +42,10 @@ def incidents_of(replayed: Replayed) -> list[Incident]:
     return sorted(found, key=lambda incident: incident.begin)
 
 
-def _of_part(part: Fold | FoldResult) -> Iterator[tuple[str, list[int], list[int]]]:
+def _of_part(part: Part) -> Iterator[tuple[str, list[int], list[int]]]:
     """Name, stamps and numbers of what happened at them."""
-    states = part.states
-    stamps_ns = states["channels"]["imu_ns"]
-    for name, (group, field) in counters(states).items():
-        steps = np.diff(group[field], prepend=0)
-        at = np.flatnonzero(steps > 0)
-        yield name, stamps_ns[at].tolist(), steps[at].tolist()
+    for name, (stamps_ns, counts) in part.steps.items():
+        yield name, stamps_ns, counts
     refused: dict[str, list[int]] = {}
     for update in part.updates:
         if not update.report.accepted and update.report.reason != "not_initialised":
@@ -77,5 +71,5 @@ def _together(name: str, stamps_ns: list[int], counts: list[int]) -> list[Incide
 
 def _jumps(replayed: Replayed) -> list[Incident]:
     """The beginning of each part but the first."""
-    firsts = [int(part.states["nav"]["time_ns"][0]) / NS for part in replayed.parts[1:]]
+    firsts = [part.first_ns / NS for part in replayed.parts[1:]]
     return [Incident("time jump", first, first, 1) for first in firsts]

@@ -18,10 +18,8 @@ from insdvl.navigation.events import NS, Event
 from insdvl.navigation.geometry.frames import rotation_from_rpy, rpy_from_rotation
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
-from insdvl.studies.replay.taken import Taken
+from insdvl.studies.replay.taken import MOST, Taken
 
-#: At most so much of a recording is folded again [s].
-MOST = 1800.0
 #: The samples of the IMU are averaged over so long [s]: a vehicle that turns by 20 deg/s turns by a
 #: degree in it.
 AVERAGE = 0.05

@@ -10,7 +10,6 @@ from insdvl.arrays import Array
 from insdvl.navigation.error_state import ATTITUDE
 from insdvl.navigation.filter import Filter
 from insdvl.navigation.odometry import odometry
-from insdvl.studies.evaluation.metrics import path_length
 from insdvl.studies.judgement.mounting import Mount
 from insdvl.studies.replay.fold import Replayed
 
@@ -35,9 +34,9 @@ def refused_share(document: dict[str, Any]) -> float | None:
 
 def biases(filter_: Filter, replayed: Replayed) -> dict[str, Any] | None:
     """The biases at the end over their initial sigmas, in IMU axes of the stream."""
-    if not replayed.initialised.size:
+    if not replayed.last.known_ns:
         return None
-    nav, vehicle = replayed.fold.states[-1]["nav"], filter_.vehicle
+    nav, vehicle = replayed.last.end[0]["nav"], filter_.vehicle
     to_imu, initial = vehicle.axes.body @ vehicle.C_b_i.T, filter_.parameters.initial
     found = {}
     for name, estimate in (("accelerometer", nav["b_f"]), ("gyroscope", nav["b_w"])):
@@ -53,18 +52,15 @@ def biases(filter_: Filter, replayed: Replayed) -> dict[str, Any] | None:
 
 def position(replayed: Replayed) -> dict[str, Any] | None:
     """Where it ended, how far it went, and what is known of that."""
-    known = replayed.initialised
-    if not known.size:
+    last, filter_ = replayed.last, replayed.fold.filter
+    if not last.known_ns:
         return None
-    fold = replayed.fold
-    end = odometry(fold.filter, fold.states, int(known[-1]))
-    states = fold.states[known[:: max(1, len(known) // 5000)]]
-    path = np.array([odometry(fold.filter, states, k).position for k in range(len(states))])
+    end = odometry(filter_, last.end, 0)
     P = end.pose_covariance
-    down = fold.filter.vehicle.axes.nav[2, 2]
-    heading = fold.states[known[-1]]["nav"]["P"][ATTITUDE.stop - 1, ATTITUDE.stop - 1]
+    down = filter_.vehicle.axes.nav[2, 2]
+    heading = last.end[0]["nav"]["P"][ATTITUDE.stop - 1, ATTITUDE.stop - 1]
     return {
-        "distance": path_length(path),
+        "distance": last.path.length,
         "horizontal": end.position[:2].tolist(),
         "horizontal_sigma": math.sqrt(float(np.linalg.eigvalsh(P[:2, :2])[-1])),
         "depth_below_origin": float(down * end.position[2]),

@@ -18,7 +18,7 @@ from insdvl.navigation.filter import Filter
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.studies.judgement.innovations import FEWEST, SIGMAS, statistics
-from insdvl.studies.judgement.mounting import ARMS, MOST, Change, Mount, mounting, told_otherwise
+from insdvl.studies.judgement.mounting import ARMS, Change, Mount, mounting, told_otherwise
 from insdvl.studies.judgement.noise import DvlNoise, dvl_noise, imu_variances
 from insdvl.studies.judgement.numbers import (
     biases,
@@ -30,6 +30,7 @@ from insdvl.studies.judgement.numbers import (
 )
 from insdvl.studies.judgement.withheld import WINDOWS, Withheld, predictions
 from insdvl.studies.replay.fold import Replayed
+from insdvl.studies.replay.taken import MOST
 
 #: A sigma is seldom known better than by this factor; what is nearer to right is no finding.
 FACTOR = 1.5
@@ -91,7 +92,7 @@ def verdict(replayed: Replayed, parameters: FilterParameters, document: dict[str
     filter_ = replayed.fold.filter
     used = {
         u.stamp_ns
-        for u in replayed.fold.updates
+        for u in replayed.last.updates
         if u.report.measurement == Dvl.name and u.report.corrected
     }
     noise = dvl_noise(replayed.taken, filter_, replayed.ping_noise)

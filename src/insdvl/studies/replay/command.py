@@ -6,6 +6,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from insdvl.files import check_writable, json_text, write
 from insdvl.messages.topics import PROCESS_NOISE
@@ -14,15 +15,16 @@ from insdvl.parameters.declaration import ParameterError, flatten
 from insdvl.parameters.files import ParameterFile
 from insdvl.parameters.files import read as read_files
 from insdvl.parameters.sections import full_name, load, nothing_for, reaches, warnings
-from insdvl.recordings.base import BagError, Raw
+from insdvl.recordings.base import BagError
 from insdvl.recordings.parameters import ReplayParameters
+from insdvl.recordings.played import Recording
 from insdvl.studies.judgement.incidents import incidents_of
-from insdvl.studies.judgement.verdict import verdict
-from insdvl.studies.replay.extrinsics import with_extrinsics
-from insdvl.studies.replay.fold import fold_recording, read
-from insdvl.studies.replay.injection import Injection
-from insdvl.studies.replay.learning import with_learned
-from insdvl.studies.replay.result import new_folder, write_result
+from insdvl.studies.judgement.verdict import Verdict, verdict
+from insdvl.studies.replay.fold import Replayed, fold_recording, read
+from insdvl.studies.replay.inputs.extrinsics import with_extrinsics
+from insdvl.studies.replay.inputs.injection import Injected, Injection
+from insdvl.studies.replay.inputs.learning import Learned
+from insdvl.studies.replay.result import Output, new_folder
 from insdvl.studies.replay.scores import report
 from insdvl.studies.replay.text import table_of, verdict_of
 from insdvl.studies.report.facts import card_of, changed_parameters, versions
@@ -61,31 +63,39 @@ def _replay(arguments: argparse.Namespace) -> bool:
     recording = read(arguments.bag, replay, filter_)
     filter_ = with_extrinsics(arguments.bag, recording, filter_)
     if injection is not None:
-        recording = injection.applied(recording)
+        recording = Injected(recording, injection)
     recording, q_from = _with_process_noise(recording, filter_, tuner)
-    replayed = fold_recording(recording, filter_)
-    if not replayed.initialised.size:
-        raise BagError(
-            f"the filter was never initialised (initial.mode {filter_.initial.mode!r}): it waits "
-            f"for {waits_for(filter_)}"
-        )
-    document = report(recording, replayed)
-    judged = verdict(replayed, filter_, document)
-    document |= {
-        "bag": str(arguments.bag),
-        "configuration": _configuration(arguments.config),
-        "process_noise": q_from,
-        "injected_noise": asdict(injection) if injection else None,
-        "parameters": {"insdvl_filter": flatten(filter_), "insdvl_tuner": flatten(tuner)},
-        "verdict": judged.numbers,
-        "incidents": [asdict(incident) for incident in incidents_of(replayed)],
-        "versions": versions(),
-        "changed_parameters": changed_parameters(filter_),
-        "model": card_of(tuner) if q_from.startswith("external, learned") else None,
-    }
+
+    def judged(replayed: Replayed) -> tuple[dict[str, Any], Verdict]:
+        if not replayed.last.known_ns:
+            raise BagError(
+                f"the filter was never initialised (initial.mode {filter_.initial.mode!r}): it "
+                f"waits for {waits_for(filter_)}"
+            )
+        document = report(replayed)
+        judgement = verdict(replayed, filter_, document)
+        document |= {
+            "bag": str(arguments.bag),
+            "configuration": _configuration(arguments.config),
+            "process_noise": q_from,
+            "injected_noise": asdict(injection) if injection else None,
+            "parameters": {"insdvl_filter": flatten(filter_), "insdvl_tuner": flatten(tuner)},
+            "verdict": judgement.numbers,
+            "incidents": [asdict(incident) for incident in incidents_of(replayed)],
+            "versions": versions(),
+            "changed_parameters": changed_parameters(filter_),
+            "model": card_of(tuner) if q_from.startswith("external, learned") else None,
+        }
+        return document, judgement
+
     without_report = ""
-    if out is not None:
-        without_report = write_result(out, recording, replayed, filter_, document, arguments.rate)
+    if out is None:
+        document, judgement = judged(fold_recording(recording, filter_))
+    else:
+        with Output(out, filter_, arguments.rate) as output:
+            replayed = fold_recording(recording, filter_, [output])
+            document, judgement = judged(replayed)
+            without_report = output.finish(replayed, document)
     if arguments.json == STANDARD_OUTPUT:
         sys.stdout.write(json_text(document))
     elif arguments.json is not None:
@@ -97,7 +107,7 @@ def _replay(arguments: argparse.Namespace) -> bool:
     if without_report:
         print(f"{'report.html':32} left out: {without_report}", file=words)
     print(verdict_of(document), file=words)
-    return bool(judged.findings)
+    return bool(judgement.findings)
 
 
 def _parameters(
@@ -142,13 +152,13 @@ def _configuration(files: Sequence[Path] | None) -> str:
 
 
 def _with_process_noise(
-    recording: list[Raw], filter_: FilterParameters, tuner: TunerParameters
-) -> tuple[list[Raw], str]:
+    recording: Recording, filter_: FilterParameters, tuner: TunerParameters
+) -> tuple[Recording, str]:
     """The recording with the Q that the tuner learns, where that is asked for; and its source."""
     source = filter_.process_noise.source
     if source != "external":
         return recording, source
-    if PROCESS_NOISE in {raw.topic for raw in recording}:
+    if PROCESS_NOISE in recording.topics:
         return recording, "external, recorded"
     if not tuner.enabled:
         raise ParameterError(
@@ -160,7 +170,7 @@ def _with_process_noise(
             f"parameter 'rate' of insdvl_tuner must be at least {1 / filter_.q_timeout:g} "
             f"Hz, got {tuner.rate!r}: q_timeout of insdvl_filter is {filter_.q_timeout:g} s"
         )
-    return with_learned(recording, tuner), f"external, learned by {tuner.model}"
+    return Learned(recording, tuner), f"external, learned by {tuner.model}"
 
 
 def _check_places(arguments: argparse.Namespace) -> Path | None:

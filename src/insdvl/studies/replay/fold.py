@@ -1,34 +1,41 @@
-"""A recording through the core filter: the state that the filter node reaches, to the bit."""
+"""A recording through the core filter: the state that the filter node reaches, to the bit.
 
-import sys
+The fold keeps a few seconds of states. What has become final is given to those who need it
+(`Consumer`), so a recording of hours takes no more memory than what they keep.
+"""
+
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
+from insdvl.messages.cdr.imu_bytes import decode_imus
+from insdvl.messages.convert import ImuSamples
 from insdvl.messages.feed import Fed, Feed
 from insdvl.messages.refusals import Refused
 from insdvl.messages.topics import IMU, taken
 from insdvl.navigation.parameters import FilterParameters
-from insdvl.recordings.bag_reader import BagReader
 from insdvl.recordings.base import BagError, Raw, decode
 from insdvl.recordings.parameters import ReplayParameters
-from insdvl.recordings.played import played
+from insdvl.recordings.played import Listed, Recording, Stored
+from insdvl.studies.replay.consumer import Consumer
+from insdvl.studies.replay.part import Part
+from insdvl.studies.replay.reference import AtReference, Reference, truth_of
 from insdvl.studies.replay.taken import Taken
 from insdvl.timeline.fold import Fold
-from insdvl.timeline.output import AppliedUpdate, FoldResult
+from insdvl.timeline.output import AppliedUpdate
 from insdvl.watch.alignment.check import AlignmentCheck
 
-#: Limit of the samples of a recording: 28 hours at 100 Hz. All states are in memory, 3 kB each.
+#: Limit of the samples of a recording: 28 hours at 100 Hz.
 MAX_SAMPLES = 10_000_000
+#: Messages after which the states that have become final are taken.
+BATCH = 512
 
 
 def read(
     path: Path, parameters: ReplayParameters, filter_parameters: FilterParameters | None = None
-) -> list[Raw]:
+) -> Recording:
     """What is played of a recording, in the recorded order, on the topics of the nodes.
 
     What a reader should know of the recording goes to stderr.
@@ -42,17 +49,8 @@ def read(
         BagError: The recording cannot be read, has no IMU or no DVL, or is too long.
         ParameterError: Two parameters of the filter name one topic.
     """
-    with BagReader(path) as bag:
-        for remark in bag.remarks:
-            print(f"{path}: {remark}", file=sys.stderr)
-        topics = played(bag, parameters, taken(filter_parameters) if filter_parameters else {})
-        size = bag.topics[parameters.imu_topic].size
-        if size > MAX_SAMPLES:
-            raise BagError(
-                f"{path} has {size} messages on {parameters.imu_topic}; at most {MAX_SAMPLES} are "
-                "read: split it"
-            )
-        return [raw._replace(topic=topics[raw.topic]) for raw in bag.raw(topics)]
+    topics = taken(filter_parameters) if filter_parameters else {}
+    return Stored(path, parameters, topics, MAX_SAMPLES)
 
 
 @dataclass(frozen=True)
@@ -60,7 +58,8 @@ class Replayed:
     """A folded recording.
 
     Attributes:
-        fold: With the states at all IMU stamps; those before a time jump are in ``fold.left``.
+        fold: The filter's timeline at the end, with the states of the last seconds.
+        parts: What was folded between time jumps, in the order of arrival.
         refused: Messages that were not used, by topic and reason.
         measurements: Name of the measurement of each topic that feeds one.
         findings: Contradictions of the frames, see `AlignmentCheck`.
@@ -68,25 +67,23 @@ class Replayed:
         taken: The events of the last part.
         ping_noise: Noise of the DVL from ping to ping, see `AlignmentCheck.ping_noise`; of the last
             part.
+        at_reference: Reference and states of the last part.
     """
 
     fold: Fold
+    parts: Sequence[Part]
     refused: Counter[Refused]
     measurements: Mapping[str, str]
     findings: list[str]
     has_map: bool
     taken: Taken
     ping_noise: tuple[float, float] | None
+    at_reference: AtReference
 
     @property
-    def initialised(self) -> NDArray[np.intp]:
-        """Indices of the initialised states, after the last time jump."""
-        return np.flatnonzero(self.fold.states["nav"]["initialised"])
-
-    @property
-    def parts(self) -> list[Fold | FoldResult]:
-        """What was folded between time jumps, in the order of arrival."""
-        return [*self.fold.left, self.fold]
+    def last(self) -> Part:
+        """The part after the last time jump."""
+        return self.parts[-1]
 
     @property
     def updates(self) -> list[AppliedUpdate]:
@@ -94,50 +91,141 @@ class Replayed:
         return [update for part in self.parts for update in part.updates]
 
 
-def feed_recording(recording: Sequence[Raw], feed: Feed) -> Iterator[list[Fed]]:
+def feed_recording(recording: Recording, feed: Feed) -> Iterator[list[Fed]]:
     """The events of each message that the filter takes, in the recorded order.
 
     Raises:
         BagError: The recording lacks a topic that the parameters require, or a message is damaged.
     """
-    there = {raw.topic for raw in recording}
+    names = _names(recording, feed)
+    for raw in recording.on(names):
+        yield feed.give(names[raw.topic], decode(raw).message)
+
+
+def _names(recording: Recording, feed: Feed) -> dict[str, str]:
+    """The filter's names of the topics that it takes, by those of the recording.
+
+    Raises:
+        BagError: The recording lacks a topic that the parameters require.
+    """
     for topic, reason in feed.inputs.required.items():
-        if topic.lstrip("/") not in there:
+        if topic.lstrip("/") not in recording.topics:
             raise BagError(f"{reason}, but nothing in the recording is played on {topic}")
-    names = {topic.lstrip("/"): topic for topic in feed.inputs.topics}
-    for raw in recording:
-        if raw.topic in names:
-            yield feed.give(names[raw.topic], decode(raw).message)
+    return {topic.lstrip("/"): topic for topic in feed.inputs.topics}
 
 
-def fold_recording(recording: Sequence[Raw], parameters: FilterParameters) -> Replayed:
+def fold_recording(
+    recording: Recording | Sequence[Raw],
+    parameters: FilterParameters,
+    consumers: Iterable[Consumer] = (),
+) -> Replayed:
     """All messages of a recording through the filter.
+
+    Args:
+        recording: On the topics of the nodes.
+        parameters: Of the filter.
+        consumers: Take messages and states.
 
     Raises:
         BagError: See `feed_recording`.
         ParameterError: Two parameters name one topic.
     """
-    feed = Feed(parameters, capacity=sum(raw.topic == IMU for raw in recording) + 1)
-    checks = [AlignmentCheck(parameters)]  # one for each part
-    taken_events = Taken()
-    for events in feed_recording(recording, feed):
-        if len(feed.fold.left) >= len(checks):
-            checks.append(AlignmentCheck(parameters))
-            taken_events = Taken()
-            continue
+    if not isinstance(recording, Recording):
+        recording = Listed(recording)
+    feed = Feed(parameters, capacity=4 * BATCH)
+    reference = Reference(*truth_of(recording))
+    receivers = [reference, *consumers]
+    for receiver in receivers:
+        receiver.begin(feed)
+    folding = _Folding(feed, parameters, receivers)
+    names = _names(recording, feed)
+    messages = iter(recording)
+    while batch := list(islice(messages, BATCH)):
+        for receiver in receivers:
+            receiver.messages(batch)
+        folding.add(batch, names)
+    folding.take(end=True)
+    folding.checks[-1].finish()
+    topics = feed.inputs.topics.items()
+    return Replayed(
+        fold=feed.fold,
+        parts=folding.parts,
+        refused=feed.refused,
+        measurements={name: topic.measurement for name, topic in topics if topic.measurement},
+        findings=list(dict.fromkeys(f for check in folding.checks for f in check.findings())),
+        has_map=feed.has_map,
+        taken=folding.taken,
+        ping_noise=folding.checks[-1].ping_noise(),
+        at_reference=reference.result,
+    )
+
+
+class _Folding:
+    """What goes on while a recording is folded."""
+
+    def __init__(
+        self, feed: Feed, parameters: FilterParameters, receivers: Sequence[Consumer]
+    ) -> None:
+        self._feed, self._parameters, self._receivers = feed, parameters, receivers
+        self.parts = [Part(feed.fold.filter)]
+        self.checks = [AlignmentCheck(parameters, thinks=False)]  # one for each part
+        self.taken = Taken()
+
+    def add(self, batch: Sequence[Raw], names: Mapping[str, str]) -> None:
+        """Feed the messages that follow: runs of samples at once, the others one by one.
+
+        Args:
+            batch: The messages.
+            names: The filter's names of the topics that it takes.
+        """
+        fed, of_imu = [raw for raw in batch if raw.topic in names], names[IMU]
+        data = [raw.data for raw in fed if raw.topic == IMU]
+        others = [k for k, raw in enumerate(fed) if raw.topic != IMU]
+        samples = self._feed.inputs.imu_samples(of_imu, decode_imus(data))
+        k = row = 0  # next message, and next of the IMU
+        for end in [*others, len(fed)]:
+            while k < end:
+                count = self._feed.give_samples(of_imu, samples, slice(row, row + end - k))
+                self._took_samples(samples, slice(row, row + count))
+                if not count:
+                    self._give(of_imu, fed[k])
+                    count = 1
+                k, row = k + count, row + count
+            if k < len(fed):
+                self._give(names[fed[k].topic], fed[k])
+                k += 1
+        self.take()
+
+    def _took_samples(self, samples: ImuSamples, part: slice) -> None:
+        if part.start == part.stop:
+            return
+        arrays = samples.stamps_ns[part], samples.f_b[part], samples.w_ib_b[part]
+        self.checks[-1].add_samples(*arrays)
+        self.taken.add_samples(*arrays)
+
+    def _give(self, name: str, raw: Raw) -> None:
+        events = self._feed.give(name, decode(raw).message)
+        if self._feed.fold.left:  # a time jump: these were of neither time
+            self.take()
+            self.checks[-1].finish()
+            self.checks.append(AlignmentCheck(self._parameters, thinks=False))
+            self.taken = Taken()
+            return
         for event, refusal in events:
             if refusal is None:
-                checks[-1].add(event)
-                taken_events.add(event)
-    findings = {finding: None for check in checks for finding in check.findings()}
-    topics = feed.inputs.topics.items()
-    measurements = {name: topic.measurement for name, topic in topics if topic.measurement}
-    return Replayed(
-        feed.fold,
-        feed.refused,
-        measurements,
-        list(findings),
-        feed.has_map,
-        taken_events,
-        checks[-1].ping_noise(),
-    )
+                self.checks[-1].add(event)
+                self.taken.add(event)
+
+    def take(self, *, end: bool = False) -> None:
+        """Give on what has become final."""
+        filter_ = self._feed.fold.filter
+        for final in self._feed.fold.take_final(end=end):
+            self.parts[-1].take(final)
+            if len(final.states):
+                for receiver in self._receivers:
+                    receiver.take(filter_, final.states)
+            if final.jump is not None:
+                self.parts.append(Part(filter_))
+            if final.jump is not None or end:
+                for receiver in self._receivers:
+                    receiver.end()

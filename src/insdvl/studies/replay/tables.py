@@ -11,11 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array, Stamps
 from insdvl.navigation.events import NS
-from insdvl.studies.evaluation.metrics import Track, attitude_error
-from insdvl.studies.replay.scores import states_at
+from insdvl.studies.evaluation.metrics import attitude_error
+from insdvl.studies.replay.reference import AtReference
 from insdvl.studies.replay.track import TrackColumns
-from insdvl.timeline.fold import Fold
-from insdvl.timeline.output import AppliedUpdate, FoldResult
+from insdvl.timeline.output import AppliedUpdate
 
 _XYZ = "xyz"
 
@@ -61,25 +60,17 @@ def track_columns(track: TrackColumns) -> dict[str, Array]:
     }
 
 
-def reference_columns(
-    fold: Fold | FoldResult, stamps_ns: Stamps, truth: Track
-) -> tuple[Stamps, dict[str, Array]] | None:
-    """Stamps and columns of reference.csv; None without a reference at two states.
+def reference_columns(at: AtReference) -> dict[str, Array] | None:
+    """Columns of reference.csv; None without a reference at two states.
 
     Errors are the reference less the filter; of the attitude the rotation vector about odom's axes.
     """
-    known = fold.states["nav"]["time_ns"][fold.states["nav"]["initialised"] != 0]
-    if not known.size:
+    if len(at) < 2:
         return None
-    inside = (stamps_ns >= known[0]) & (stamps_ns <= known[-1])
-    if inside.sum() < 2:
-        return None
-    stamps_ns = stamps_ns[inside]
-    truth = Track(truth.C_n_b[inside], truth.v_b[inside], truth.p_o[inside])
-    track, sigma = states_at(fold, stamps_ns)
+    truth, track, sigma = at.truth, at.track, at.sigma
     yaw = Rotation.from_matrix(truth.C_n_b).as_euler("xyz")[:, 2]
     psi = np.degrees(attitude_error(track.C_n_b, truth.C_n_b))
-    return stamps_ns, {
+    return {
         **_named("position", truth.p_o),
         "yaw_deg": np.degrees(yaw),
         **_named("velocity", truth.v_b),
@@ -91,11 +82,11 @@ def reference_columns(
     }
 
 
-def csv_text(stamps_ns: Stamps, columns: Mapping[str, Array]) -> str:
-    """A table with a line of names; the first column is the stamp [s]."""
+def csv_text(stamps_ns: Stamps, columns: Mapping[str, Array], *, names: bool = True) -> str:
+    """A table; the first column is the stamp [s], the first line, where it is wanted, the names."""
     values = np.stack(list(columns.values()), axis=1)
     form = ",".join(["%.9g"] * values.shape[1])
-    lines = [",".join(["stamp", *columns])]
+    lines = [",".join(["stamp", *columns])] if names else []
     for stamp_ns, row in zip(stamps_ns.tolist(), values.tolist(), strict=True):
         lines.append(f"{_seconds(stamp_ns)},{form % tuple(row)}")
     return "\n".join(lines) + "\n"
@@ -104,8 +95,9 @@ def csv_text(stamps_ns: Stamps, columns: Mapping[str, Array]) -> str:
 def tum_text(track: TrackColumns) -> str:
     """The track as TUM has it: stamp, position, quaternion x, y, z, w."""
     rows = np.concatenate([track.position, track.quaternion_xyzw], axis=1).tolist()
+    form = " ".join(["%.9g"] * 7)
     lines = [
-        f"{_seconds(stamp_ns)} " + " ".join(f"{value:.9g}" for value in row)
+        f"{_seconds(stamp_ns)} {form % tuple(row)}"
         for stamp_ns, row in zip(track.stamps_ns.tolist(), rows, strict=True)
     ]
     return "\n".join(lines) + "\n"

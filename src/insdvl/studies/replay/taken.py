@@ -12,17 +12,21 @@ from insdvl.navigation.parameters import FilterParameters
 from insdvl.timeline.output import FoldResult
 from insdvl.timeline.recorded import fold_arrays
 
+#: At most so much of a recording is folded again [s].
+MOST = 1800.0
+
 
 class Taken:
     """The events of one part of a recording, between two time jumps.
 
-    The samples of the IMU are kept as numbers, 56 bytes each.
+    The samples of the IMU are kept as numbers, 56 bytes each, of the first `MOST` seconds.
 
     Attributes:
         events: All events but the samples of the IMU.
     """
 
     def __init__(self) -> None:
+        self._until_ns: int | None = None
         self._stamps = array("q")
         self._readings = array("d")
         self.events: list[Event] = []
@@ -30,11 +34,19 @@ class Taken:
     def add(self, event: Event) -> None:
         """Keep an event that the fold took."""
         if isinstance(event, Imu):
-            self._stamps.append(event.stamp_ns)
-            self._readings.extend(event.f_b)
-            self._readings.extend(event.w_ib_b)
+            stamps_ns = np.array([event.stamp_ns])
+            self.add_samples(stamps_ns, event.f_b[None], event.w_ib_b[None])
         else:
             self.events.append(event)
+
+    def add_samples(self, stamps_ns: Stamps, f_b: Array, w_ib_b: Array) -> None:
+        """Keep samples that the fold took, arrays (N,), (N, 3) and (N, 3)."""
+        if self._until_ns is None:
+            self._until_ns = int(stamps_ns[0]) + round(MOST * NS)
+        early = stamps_ns <= self._until_ns
+        if early.any():
+            self._stamps.frombytes(stamps_ns[early].tobytes())
+            self._readings.frombytes(np.hstack([f_b, w_ib_b])[early].tobytes())
 
     @property
     def samples(self) -> tuple[Stamps, Array]:

@@ -1,19 +1,17 @@
 """The navigated track as columns: what the recording, track.csv and the report are made from."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from insdvl.arrays import Array, Stamps
+from insdvl.arrays import Array, Records, Stamps
 from insdvl.messages.cdr.odometry_bytes import OdometryColumns
+from insdvl.navigation.error_state import ACCELEROMETER_BIAS, GYROSCOPE_BIAS
 from insdvl.navigation.events import NS
-from insdvl.navigation.odometry import Odometry, biases, odometry
-from insdvl.studies.replay.fold import Replayed
-from insdvl.timeline.fold import Fold
-from insdvl.timeline.output import FoldResult
+from insdvl.navigation.filter import Filter
+from insdvl.navigation.odometry import Odometry, odometries
 
 #: Part of an interval by which a state may be early: stamps are rounded.
 _EARLY = 0.01
@@ -106,67 +104,72 @@ class TrackColumns:
         )
 
 
-def chosen(part: Fold | FoldResult, rate: float) -> NDArray[np.intp]:
-    """Indices of the states of a part that are put out.
+class Choice:
+    """Which states are put out: the first of each interval, counted from the first state.
 
     Args:
-        part: What was folded.
-        rate: States per second, the first of each interval; 0 for all.
+        rate: States per second; 0 for all.
     """
-    known = np.flatnonzero(part.states["nav"]["initialised"])
-    if rate == 0.0 or not known.size:
-        return known
-    stamps_ns = part.states["nav"]["time_ns"][known]
-    interval = ((stamps_ns - stamps_ns[0]) * (rate / NS) + _EARLY) // 1.0
-    firsts = np.diff(interval, prepend=interval[0] - 1) > 0
-    firsts[-1] = True  # where it ended
-    return np.asarray(known[firsts])
+
+    def __init__(self, rate: float) -> None:
+        self._rate = rate
+        self._start_ns: int | None = None
+        self._interval = -1.0  # of the last state
+
+    def of(self, stamps_ns: Stamps) -> NDArray[np.intp]:
+        """Indices of those that are put out of the states that follow, stamps (N,)."""
+        if self._start_ns is None:
+            self._start_ns = int(stamps_ns[0])
+        if self._rate == 0.0:
+            return np.arange(len(stamps_ns))
+        interval = ((stamps_ns - self._start_ns) * (self._rate / NS) + _EARLY) // 1.0
+        firsts = np.diff(interval, prepend=self._interval) > 0
+        self._interval = float(interval[-1])
+        return np.flatnonzero(firsts)
 
 
-def track_of(replayed: Replayed, rate: float) -> TrackColumns:
-    """The track of all parts.
+def track_of(filter_: Filter, states: Records, ks: NDArray[np.intp], part: int) -> TrackColumns:
+    """The columns of initialised states.
 
     Args:
-        replayed: The folded recording.
-        rate: See `chosen`.
+        filter_: The filter.
+        states: (N,) records.
+        ks: (M,) indices of those that are wanted.
+        part: Number of their part.
     """
-    rows = [
-        row
-        for number, part in enumerate(replayed.parts)
-        for row in _rows(part, number, chosen(part, rate))
-    ]
-    columns = zip(*rows, strict=True)
-    return TrackColumns(*(np.array(column) for column in columns))
-
-
-def _rows(
-    part: Fold | FoldResult, number: int, indices: NDArray[np.intp]
-) -> Iterator[tuple[object, ...]]:
-    filter_, states = part.filter, part.states
+    o, nav, noise = odometries(filter_, states, ks), states["nav"], states["noise"]
     axes = filter_.vehicle.axes.body
-    for k in indices.tolist():
-        o = odometry(filter_, states, k)
-        b = biases(filter_, states[k])
-        noise = states[k]["noise"]
-        yield (
-            o.stamp_ns,
-            number,
-            o.position,
-            o.quaternion_xyzw,
-            o.pose_covariance,
-            o.odom_position,
-            o.odom_quaternion_xyzw,
-            o.odom_covariance,
-            o.map_to_odom,
-            o.twist_linear,
-            o.twist_angular,
-            o.twist_covariance,
-            o.place,
-            o.place_covariance,
-            b.accelerometer,
-            b.accelerometer_covariance,
-            b.gyroscope,
-            b.gyroscope_covariance,
-            np.sqrt(np.abs(axes @ np.diag(noise["Q_f"]))),
-            np.sqrt(np.abs(axes @ np.diag(noise["Q_w"]))),
-        )
+    to_imu = axes @ filter_.C_b_i.T
+
+    def biases(name: str, block: slice) -> tuple[Array, Array]:
+        P = to_imu @ nav["P"][:, block, block][ks] @ to_imu.T
+        return nav[name][ks] @ to_imu.T, (P + P.transpose(0, 2, 1)) / 2
+
+    def sigmas(name: str) -> Array:
+        variances = np.diagonal(noise[name], axis1=1, axis2=2)[ks]
+        return np.asarray(np.sqrt(np.abs(variances @ axes.T)))
+
+    b_f, P_f = biases("b_f", ACCELEROMETER_BIAS)
+    b_w, P_w = biases("b_w", GYROSCOPE_BIAS)
+    return TrackColumns(
+        stamps_ns=nav["time_ns"][ks],
+        part=np.full(len(ks), part),
+        position=o["position"],
+        quaternion_xyzw=o["quaternion_xyzw"][:, 0],
+        pose_covariance=o["pose_covariance"],
+        odom_position=o["odom_position"],
+        odom_quaternion_xyzw=o["odom_quaternion_xyzw"][:, 0],
+        odom_covariance=o["odom_covariance"],
+        map_to_odom=o["map_to_odom"],
+        linear=o["twist_linear"],
+        angular=o["twist_angular"],
+        twist_covariance=o["twist_covariance"],
+        place=o["place"],
+        place_covariance=o["place_covariance"],
+        accelerometer_bias=b_f,
+        accelerometer_bias_covariance=P_f,
+        gyroscope_bias=b_w,
+        gyroscope_bias_covariance=P_w,
+        accelerometer_noise=sigmas("Q_f"),
+        gyroscope_noise=sigmas("Q_w"),
+    )

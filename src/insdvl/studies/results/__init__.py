@@ -1,1 +1,1 @@
-"""The command `insdvl results`: the studies behind docs/results.md, and the page itself."""
+"""The command `insdvl results`: the studies behind docs/results/, and their pages."""

@@ -1,7 +1,7 @@
-"""The command `insdvl results`: all numbers and plots of docs/results.md, and the page itself.
+"""The command `insdvl results`: all numbers, plots and pages of docs/results/.
 
-The page consists of parts; the numbers of each part are a JSON file in results/. A part that is not
-computed keeps its file, so the page can be written without the recordings or after a single part.
+The pages consist of parts; the numbers of each part are a JSON file beside them. A part that is not
+computed keeps its file, so the pages can be written without the recordings or after a single part.
 """
 
 import argparse
@@ -29,7 +29,7 @@ from insdvl.studies.evaluation.approaches import (
 from insdvl.studies.evaluation.comparison import Plan, compare
 from insdvl.studies.evaluation.options import check_names, check_numbers
 from insdvl.studies.report.plots import draw_errors_over_time
-from insdvl.studies.results import accuracy, page, recordings, vehicle, window
+from insdvl.studies.results import accuracy, forest, page, recordings, vehicle, window
 from insdvl.tuner.models import load_model
 
 #: Rows of the tables that show what an error state or the gate changes.
@@ -55,25 +55,28 @@ _RECORDING_RUNS, _RECORDING_TUNING_RUNS = 10, 3  # for each recording and inject
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Compute the parts and write the page; the exit code is 2 for invalid input."""
+    """Compute the parts and write the pages; the exit code is 2 for invalid input."""
     try:
         parts = _parts(arguments)
         folder = arguments.out / "results"
         folder.mkdir(parents=True, exist_ok=True)
-        check_writable(arguments.out / "results.md", "--out")
+        check_writable(folder / f"{page.PAGES[0]}.md", "--out")
         if parts:
             with open_pool(workers_from(arguments)) as pool:
                 stores = [_compute(part, arguments, folder, pool) for part in parts]
             for store in stores:  # kept until now, so that an interrupted command resumes
                 store.clear()
-        write(arguments.out / "results.md", page.results_page(documents(folder)).encode())
+        found = documents(folder)
+        for name, text in page.pages(found).items():
+            write(folder / f"{name}.md", text.encode())
+        forest.draw(folder / "forest.png", found)
     except TaskError as error:
         print(f"insdvl results: {error}", file=sys.stderr)
         return 1
     except (ValueError, OSError) as error:
         print(f"insdvl results: {error}", file=sys.stderr)
         return 2
-    print(arguments.out / "results.md")
+    print(folder)
     return 0
 
 
@@ -142,4 +145,4 @@ def documents(folder: Path) -> dict[str, Any]:
     Raises:
         ValueError: A file cannot be read, is damaged or incomplete; the message names it.
     """
-    return read_parts(folder, PARTS, page.results_page)
+    return read_parts(folder, PARTS, page.pages)

@@ -1,10 +1,11 @@
-"""The page docs/results.md, written from the numbers of its parts.
+"""The pages of docs/results/, one for each study, written from the numbers of their parts.
 
-The page has tables, definitions, and verdicts that are computed. What follows from the numbers is
-written by hand in docs/results/README.md: other numbers would leave a compiled sentence standing.
+A page has tables, definitions, and verdicts that are computed. What follows from the numbers is
+written by hand in docs/results.md and docs/results/README.md: other numbers would leave a compiled
+sentence standing.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from insdvl.simulation.noise import SCENARIO_TEXTS, SCENARIOS
@@ -18,69 +19,42 @@ from insdvl.studies.results.window import window_tables
 _NO_WALK = "constant-paper-no-walk"
 
 
-def results_page(documents: Documents) -> str:
-    """The page; a part whose numbers are missing is named.
+def pages(documents: Documents) -> dict[str, str]:
+    """The pages by name; a part whose numbers are missing is named.
 
     Args:
         documents: Numbers by part, as in docs/results/.
     """
-    parts = [
-        _INTRODUCTION.format(provenance=_provenance(documents)),
-        _targets(documents),
-        _accuracy(documents),
-        _calibrated(documents),
-        _published(documents),
-        _error_state_and_gate(documents),
-        _window(documents),
-        _vehicle(documents),
-    ]
-    return "\n".join(part.strip() + "\n" for part in parts)
-
-
-_INTRODUCTION = """
-# Results
-
-Navigation with learned process noise, compared with all alternatives, on simulations and on
-recordings of a real vehicle. One command writes this page with its tables and plots, in about an
-hour on all cores:
-
-```
-make results                                       # the simulations
-make results ARGS="--recordings DIR --config FILE"   # and recordings of a real vehicle
-```
-
-What the numbers mean, and what is not claimed, is in [results/README.md](results/README.md). The
-numbers behind the tables are in [results/](results/), one JSON file per part, with the numbers of
-every run, the seeds and the versions.
-
-{provenance}
-
-Brackets hold 95 % intervals of a bootstrap over runs, which draws each run with the results of all
-rows. All rows of a table see the same missions, noise, DVL errors and initial errors. Searches
-(best constant, best adaptive filter) use other seeds than the reported runs. A ratio below 1 means
-that the row is better than its reference.
-"""
+    provenance = _provenance(documents)
+    return {
+        name: write(documents).strip() + f"\n\n{provenance}\n" for name, write in _PAGES.items()
+    }
 
 
 def _provenance(documents: Documents) -> str:
     seeds = {d["plan"]["seed"] for d in documents.values() if "plan" in d}
     environments = {str(sorted(d["environment"].items())) for d in documents.values()}
-    text = "Seed of all runs: " + ", ".join(str(seed) for seed in sorted(seeds)) + "."
+    text = (
+        "Written by `insdvl results` from the JSON files beside this page, which have the numbers "
+        "of every\nrun, the seeds and the versions. Seed of all runs: "
+        + ", ".join(str(seed) for seed in sorted(seeds))
+        + "."
+    )
     if len(environments) > 1:
-        text += " Parts were computed with different versions; each file names its own."
-    return text
+        text += " Parts were computed with\ndifferent versions."
+    return f"---\n{text}"
 
 
 def _targets(documents: Documents) -> str:
     return (
-        "## Targets\n\nThe targets were set before the measurements. A ratio meets its target when "
+        "# Targets\n\nThe targets were set before the measurements. A ratio meets its target when "
         "the upper end of its\ninterval does. *Learned* is the model `default`.\n\n"
         + targets_table(documents)
     )
 
 
 def _section(title: str, prose: str, parts: Sequence[str]) -> str:
-    return "\n\n".join([f"## {title}", prose.strip(), *(part.strip() for part in parts)]) + "\n"
+    return "\n\n".join([f"# {title}", prose.strip(), *(part.strip() for part in parts)]) + "\n"
 
 
 def _missing(*parts: str) -> str:
@@ -104,8 +78,8 @@ $\\sqrt{2/194}$ = 10.2 %.
 
 def _comparison(documents: Documents, part: str, title: str) -> str:
     if part not in documents:
-        return f"### {title}\n\n{_missing(part)}"
-    return f"### {title}\n\n{comparison_tables(documents[part])}"
+        return f"## {title}\n\n{_missing(part)}"
+    return f"## {title}\n\n{comparison_tables(documents[part])}"
 
 
 def _scenarios(documents: Documents, preset: str) -> list[str]:
@@ -121,9 +95,7 @@ def _calibrated(documents: Documents) -> str:
         for scenario in ("varying", "wide")
         if f"{scenario}-calibrated" in documents
     }
-    plots = [
-        f"![Errors over time, {scenario}](results/{scenario}-calibrated.png)" for scenario in parts
-    ]
+    plots = [f"![Errors over time, {scenario}]({scenario}-calibrated.png)" for scenario in parts]
     return _section(
         "The comparison, calibrated",
         """
@@ -136,10 +108,15 @@ without its heading error. *Best constant* is the best of a grid, for each metri
 filters use the innovations: `literal` as published; `floored` added to the nominal Q; `best xi`
 with the best window and nominal Q; `variational` is a variational Bayes filter with the best prior
 weight and nominal Q. *Closed form* is the variance around a polynomial of degree 5.
+
+Brackets hold 95 % intervals of a bootstrap over runs, which draws each run with the results of all
+rows. All rows of a table see the same missions, noise, DVL errors and initial errors. Searches
+(best constant, best adaptive filter) use other seeds than the reported runs. A ratio below 1 means
+that the row is better than its reference.
 """,
         [
             *_scenarios(documents, "calibrated"),
-            "### The gain in two parts",
+            "## The gain in two parts",
             *(_gain(document, scenario) for scenario, document in parts.items()),
             *plots,
         ],
@@ -173,10 +150,10 @@ def _published(documents: Documents) -> str:
     parts = _scenarios(documents, "paper")
     if "constant-paper" in documents:
         parts.append(_against_zero_velocity(documents["constant-paper"]))
-        parts.append("![Errors over time, preset paper](results/constant-paper.png)")
+        parts.append("![Errors over time, preset paper](constant-paper.png)")
     parts.append(_comparison(documents, _NO_WALK, "`constant`, preset `paper-no-walk`"))
     if _NO_WALK in documents:
-        parts.append(f"![Errors over time, without bias walks](results/{_NO_WALK}.png)")
+        parts.append(f"![Errors over time, without bias walks]({_NO_WALK}.png)")
     return _section(
         "The published table, attempted",
         """
@@ -242,3 +219,16 @@ by differences, the closed form is not.
 """,
         [vehicle_tables(document) if document else _missing("vehicle")],
     )
+
+
+#: The pages, by name.
+_PAGES: Mapping[str, Callable[[Documents], str]] = {
+    "targets": _targets,
+    "variance": _accuracy,
+    "calibrated": _calibrated,
+    "published": _published,
+    "error-state-and-gate": _error_state_and_gate,
+    "window": _window,
+    "vehicle": _vehicle,
+}
+PAGES = tuple(_PAGES)

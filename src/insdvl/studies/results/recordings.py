@@ -23,7 +23,7 @@ from insdvl.recordings.base import BagError
 from insdvl.recordings.parameters import ReplayParameters
 from insdvl.studies.evaluation.metrics import Track
 from insdvl.studies.replay.fold import feed_recording, read
-from insdvl.studies.replay.scores import truth_of
+from insdvl.studies.replay.reference import truth_of
 from insdvl.tuner.models import Model
 from insdvl.tuner.parameters import TunerParameters
 

@@ -21,7 +21,7 @@ from insdvl.arrays import Array, Stamps
 from insdvl.navigation.events import NS, ProcessNoise
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.recordings.base import BagError
-from insdvl.studies.replay.injection import Injection, announcements
+from insdvl.studies.replay.inputs.injection import Injection, announcements
 from insdvl.studies.replay.scores import errors_of
 from insdvl.studies.results.recordings import Recording, Settings, stream_axes
 from insdvl.timeline.output import FoldResult
@@ -122,16 +122,26 @@ class Shared:
 def learned(shared: Shared, recording: Recording, samples: Array) -> dict[str, Received]:
     """Output of a tuner with each model, and with the closed form without a bound."""
     tuner = shared.settings.tuner
-    estimators: dict[str, tuple[Estimator, int]] = {
-        row: (bounded(model.variances, tuner.difference_order), model.window)
+    estimators: dict[str, tuple[Estimator, int, int]] = {
+        row: (
+            bounded(model.variances, tuner.difference_order, model.window),
+            model.window,
+            model.history,
+        )
         for row, model in shared.models.items()
     }
-    estimators[CLOSED_FORM] = degree_5, WINDOW
+    estimators[CLOSED_FORM] = degree_5, WINDOW, WINDOW
     return {
         row: tuned(
-            recording.stamps_ns, samples, estimate, window, tuner.rate, round(tuner.max_gap * NS)
+            recording.stamps_ns,
+            samples,
+            estimate,
+            window,
+            tuner.rate,
+            round(tuner.max_gap * NS),
+            history,
         )
-        for row, (estimate, window) in estimators.items()
+        for row, (estimate, window, history) in estimators.items()
     }
 
 

@@ -50,7 +50,7 @@ def window_run(shared: tuple[Study, Mapping[int, Model]], number: int) -> dict[s
     learned, oracle = _SETTING.filter(source="external"), _SETTING.filter(source="oracle")
     for i, (window, model) in enumerate(models.items()):
         for j, rate in enumerate(RATES):
-            q = run.learned(model.variances, window, rate)
+            q = run.learned(model.variances, window, window, rate)
             errors[i, j] = _body_rmse(run.fold_received(learned, *q), run)
             q_errors[i, j] = _q_error(run, *q)
     best = run.fold_received(oracle, *run.mission.process_noise())

@@ -3,7 +3,7 @@
 30 bagged trees. "Minimum of 8 leaves" is read as a minimum leaf size of 8 in the preset `paper`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -28,26 +28,38 @@ with extra("train"):
 
 TREES = 30
 
+#: Trees that are fitted together: many such parts keep all workers busy to the end.
+PARTS = tuple(range(first, first + 5) for first in range(0, TREES, 5))
+
 #: Smallest number of examples in a leaf by preset; a preset and its feature schema share the name.
 PRESETS = {"paper": 8, "default": 200}
 
 
-def fit(X: Array, y: Array, min_samples_leaf: int, seed: int) -> BaggingRegressor:
-    """Fit the ensemble.
+def fit(
+    X: Array, y: Array, min_samples_leaf: int, seed: int, trees: range = range(TREES)
+) -> BaggingRegressor:
+    """Fit the ensemble, or some of its trees, which are the same alone and in the ensemble.
 
     Args:
         X: (M, F) features.
         y: (M,) targets.
         min_samples_leaf: Smallest number of examples in a leaf.
         seed: Random seed in [0, 2^32).
+        trees: Consecutive numbers of the trees.
     """
     ensemble = BaggingRegressor(
         DecisionTreeRegressor(min_samples_leaf=min_samples_leaf),
-        n_estimators=TREES,
+        n_estimators=trees.stop,
         random_state=seed,
         n_jobs=1,
+        warm_start=True,
     )
-    return ensemble.fit(X, y)
+    # A warm start skips the seeds of the trees that the ensemble has, and fits the others.
+    ensemble.estimators_ = [None] * trees.start
+    ensemble.estimators_features_ = [None] * trees.start
+    ensemble.fit(X, y)
+    del ensemble.estimators_[: trees.start], ensemble.estimators_features_[: trees.start]
+    return ensemble
 
 
 def to_forest(
@@ -94,6 +106,21 @@ def to_forest(
             "n_features": np.array(ensemble.n_features_in_, np.int32),
         }
     )
+
+
+def joined(parts: Sequence[Result]) -> Result:
+    """The arrays of one `Forest` that has the trees of several."""
+    sizes = np.cumsum([0, *(part["feature"].size for part in parts)])
+    roots = [part["roots"] + size for part, size in zip(parts, sizes[:-1], strict=True)]
+    whole = {
+        name: np.concatenate([part[name] for part in parts])
+        for name in ("feature", "threshold", "value")
+    }
+    return {
+        **whole,
+        "roots": np.concatenate(roots).astype(np.int32),
+        "n_features": parts[0]["n_features"],
+    }
 
 
 def _preorder(left: Indices, right: Indices) -> Indices:
@@ -150,6 +177,8 @@ def train(
             "scikit-learn": sklearn.__version__,
             "joblib": joblib.__version__,
         },
+        parts=PARTS,
+        join=joined,
     )
     fitted, card = procedure.train_method(
         method, Recipe(preset, seed, window, n_windows), pool, store, say
@@ -157,6 +186,7 @@ def train(
     return Forest(fitted).save(), card
 
 
-def _fit(shared: tuple[Array, Array, int, int], training: Indices) -> Result:
+def _fit(shared: tuple[Array, Array, int, int], task: tuple[Indices, range]) -> Result:
     X, y, min_samples_leaf, seed = shared
-    return to_forest(fit(X[training], y[training], min_samples_leaf, seed)).arrays
+    training, trees = task
+    return to_forest(fit(X[training], y[training], min_samples_leaf, seed, trees)).arrays

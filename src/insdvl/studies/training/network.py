@@ -278,6 +278,7 @@ def train(
     return to_onnx(weights, window), card
 
 
-def _fit(shared: tuple[Array, Array, bool, int, int], training: Indices) -> Result:
+def _fit(shared: tuple[Array, Array, bool, int, int], task: tuple[Indices, None]) -> Result:
     X, y, absolute, epochs, seed = shared
+    training, _ = task
     return fit(X[training], y[training], absolute, epochs, seed)

@@ -4,8 +4,9 @@ A `Method` has what differs between the kinds of models.
 """
 
 import platform
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Any
 
 from insdvl.arrays import Array
@@ -25,12 +26,14 @@ class Method:
 
     Attributes:
         kind: Name of the kind in the card.
-        fit: ``fit((X, y, *settings), training)`` returns the arrays of a model, for examples X
-            (M, F), y (M,) and the indices of the training examples.
+        fit: ``fit((X, y, *settings), (training, part))`` returns the arrays of a part of a model,
+            for examples X (M, F), y (M,) and the indices of the training examples.
         settings: Settings of the fit.
         regressor: Makes the model from its arrays.
         described_as: Key and value of the card that describe the model.
         versions: Versions for the card of the libraries that the result depends on.
+        parts: The parts of a model, which are fitted independently of each other.
+        join: The arrays of a model from those of its parts.
     """
 
     kind: str
@@ -39,6 +42,8 @@ class Method:
     regressor: Callable[[Result], Regressor]
     described_as: tuple[str, Mapping[str, Any]]
     versions: Mapping[str, str]
+    parts: Sequence[Any] = (None,)
+    join: Callable[[Sequence[Result]], Result] = itemgetter(0)
 
 
 def train_method(
@@ -63,12 +68,17 @@ def train_method(
     splits = splits_of(data, recipe.seed)
     fits = pool.compute(
         method.fit,
-        {split: training for split, (training, _) in splits.items()},
+        {
+            f"{split} {number}": (training, part)
+            for split, (training, _) in splits.items()
+            for number, part in enumerate(method.parts)
+        },
         shared=(data.X, schema.encode(data.q, data.scale), *method.settings),
         store=store,
         label=f"fits {recipe.name}",
     )
-    arrays = dict(zip(splits, fits, strict=True))
+    n = len(method.parts)
+    arrays = {split: method.join(fits[i * n : (i + 1) * n]) for i, split in enumerate(splits)}
     regressors = {split: method.regressor(fit) for split, fit in arrays.items()}
 
     def predict(split: str, examples: Indices) -> Array:

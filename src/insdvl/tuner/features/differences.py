@@ -49,7 +49,7 @@ def relative_error(n: int, order: int) -> float:
     return float(np.sqrt(2.0 * total / count))
 
 
-def bounded(estimate: Estimator, order: int) -> Estimator:
+def bounded(estimate: Estimator, order: int, window: int) -> Estimator:
     """An estimator with the upper bound that differences of an order give.
 
     The bound is `SIGMAS` relative errors above their variance: it rarely acts in white noise, and
@@ -58,12 +58,14 @@ def bounded(estimate: Estimator, order: int) -> Estimator:
     Args:
         estimate: The estimator.
         order: Order of the differences; 0 means no bound.
+        window: Number of samples, the last ones of the estimator's, that the bound is from.
     """
     if order == 0:
         return estimate
 
     def bounded_estimate(windows: Array) -> Array:
-        margin = 1.0 + SIGMAS * relative_error(windows.shape[1], order)
-        return np.minimum(estimate(windows), margin * difference_variances(windows, order))
+        margin = 1.0 + SIGMAS * relative_error(window, order)
+        bound = margin * difference_variances(windows[:, -window:], order)
+        return np.minimum(estimate(windows), bound)
 
     return bounded_estimate

@@ -13,6 +13,13 @@ import numpy as np
 
 from insdvl.arrays import Array
 from insdvl.kernels import kernel
+from insdvl.tuner.features.band_features import (
+    BAND_FEATURE_NAMES,
+    band_bounds,
+    band_features,
+)
+from insdvl.tuner.features.bands import HISTORY
+from insdvl.tuner.features.bands import WINDOW as BANDS_WINDOW
 from insdvl.tuner.features.closed_form import DEGREE
 from insdvl.tuner.features.detrend import checked, polynomials, residual
 from insdvl.tuner.features.handcrafted import FEATURE_NAMES, MIN_SAMPLES, features
@@ -33,12 +40,16 @@ class Schema:
             square of the window's unit, or ones where the output is absolute.
         relative: Whether the output is log(q / scale); otherwise it is q.
         min_samples: Smallest number of samples of a window.
+        history: Largest number of samples that an estimate uses, where it is not the window.
+        bounds: Maps features (M, F) to the lowest and the highest output (M,); None for none.
     """
 
     names: tuple[str, ...]
     extract: Callable[[Array], tuple[Array, Array]]
     relative: bool
     min_samples: int
+    history: int | None = None
+    bounds: Callable[[Array], tuple[Array, Array]] | None = None
 
     def width(self, window: int) -> int:
         """Number F of features of a window with this many samples."""
@@ -47,6 +58,10 @@ class Schema:
     def encode(self, q: Array, scale: Array) -> Array:
         """Targets (M,) for variances q (M,) > 0 in windows of scales (M,) > 0."""
         return np.log(q / scale) if self.relative else q
+
+    def bounded(self, X: Array, outputs: Array) -> Array:
+        """Outputs (M,) for features (M, F) within their bounds."""
+        return outputs if self.bounds is None else np.clip(outputs, *self.bounds(X))
 
     def decode(self, outputs: Array, scale: Array) -> Array:
         """Variances q (M,) from outputs (M,) for windows of scales (M,).
@@ -89,6 +104,14 @@ def _scaled_residuals(windows: Array, basis: Array, out: Array, scale: Array) ->
 #: Feature schemas by their names on cards.
 SCHEMAS: Mapping[str, Schema] = MappingProxyType(
     {
+        "bands": Schema(
+            BAND_FEATURE_NAMES,
+            band_features,
+            relative=True,
+            min_samples=BANDS_WINDOW,
+            history=HISTORY,
+            bounds=band_bounds,
+        ),
         "default": Schema(
             RESIDUAL_FEATURE_NAMES,
             residual_features,

@@ -18,10 +18,12 @@ from collections.abc import Generator
 
 import numpy as np
 
-from insdvl.arrays import Array
+from insdvl.arrays import Array, Stamps
+from insdvl.kernels import kernel
 from insdvl.navigation.events import NS, Event, Imu
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
+from insdvl.navigation.state import FOREVER, NEVER
 from insdvl.watch.alignment.causes import Miswired, miswired
 from insdvl.watch.alignment.gravity import GravityCheck
 from insdvl.watch.alignment.search import Explanation, Motion, Samples, Search
@@ -42,13 +44,95 @@ _STEPS = 4 * WINDOW_NS // STEP_NS // 3  # intervals that are kept: of a window a
 _WAITING = 64  # DVL measurements that wait for the IMU
 
 
+# What `_average` counts: stamp of the newest sample, where the interval begins, number of intervals
+# that are kept, and of all that there were.
+_NEWEST, _BEGIN, _SIZE, _STEPS_DONE = range(4)
+
+
+@kernel
+def _average(
+    stamps_ns: Stamps,
+    f: Array,
+    w: Array,
+    first: int,
+    max_gap_ns: int,
+    ping_ns: int,
+    think: int,
+    clock: Stamps,
+    sums: Array,
+    ends: Stamps,
+    mean_f: Array,
+    mean_w: Array,
+) -> tuple[int, bool, bool]:
+    """Average samples over intervals, until something is to be done.
+
+    Args:
+        stamps_ns: (N,) stamps, rising, all behind the newest one.
+        f: (N, 3) specific forces.
+        w: (N, 3) angular rates.
+        first: Index of the first sample to take.
+        max_gap_ns: After a longer time between two samples the intervals begin anew.
+        ping_ns: It ends with an interval that reaches this stamp.
+        think: And behind so many intervals; 0 for never.
+        clock: (4,) counts.
+        sums: (2, 3) of the interval that is not complete, times its time.
+        ends: (M,) ends of the intervals that are kept.
+        mean_f: (M, 3) their means.
+        mean_w: (M, 3) their means.
+
+    Returns:
+        Index behind the last sample that was taken, whether earlier intervals were dropped, and
+        whether an interval is complete that something is to be done with.
+    """
+    for k in range(first, len(stamps_ns)):
+        stamp_ns, newest_ns = stamps_ns[k], clock[_NEWEST]
+        clock[_NEWEST] = stamp_ns
+        if stamp_ns - newest_ns > max_gap_ns:
+            clock[_SIZE], clock[_BEGIN] = 0, stamp_ns
+            sums[:] = 0.0
+            return k + 1, True, False
+        dt = (stamp_ns - newest_ns) / NS
+        for i in range(3):
+            sums[0, i] += dt * f[k, i]
+            sums[1, i] += dt * w[k, i]
+        if stamp_ns - clock[_BEGIN] < STEP_NS:
+            continue
+        is_full = clock[_SIZE] == len(ends)
+        if is_full:
+            drop = len(ends) // 4
+            clock[_SIZE] -= drop
+            for m in range(clock[_SIZE]):
+                ends[m] = ends[m + drop]
+                for i in range(3):
+                    mean_f[m, i], mean_w[m, i] = mean_f[m + drop, i], mean_w[m + drop, i]
+        m, seconds = clock[_SIZE], (stamp_ns - clock[_BEGIN]) / NS
+        ends[m] = stamp_ns
+        for i in range(3):
+            mean_f[m, i], mean_w[m, i] = sums[0, i] / seconds, sums[1, i] / seconds
+        clock[_SIZE] += 1
+        clock[_STEPS_DONE] += 1
+        sums[:] = 0.0
+        clock[_BEGIN] = stamp_ns
+        is_due = think > 0 and clock[_STEPS_DONE] % think == 0
+        if is_full or is_due or stamp_ns >= ping_ns:
+            return k + 1, is_full, True
+    return len(stamps_ns), False, False
+
+
 class AlignmentCheck:
     """Watches the events of the filter; memory and work per event are bounded.
 
     Events may arrive late and in any order; one that is too late for its window is not used.
+
+    Args:
+        parameters: Of the filter.
+        thinks: Whether it explains the windows as they come. Of a recording `finish` explains them
+            at the end, which is all that is told of it: what a window is worth is computed once,
+            not again with each of the 30 windows behind it.
     """
 
-    def __init__(self, parameters: FilterParameters) -> None:
+    def __init__(self, parameters: FilterParameters, *, thinks: bool = True) -> None:
+        self._thinks = thinks
         self._terms = Terms(parameters)
         self._gravity = GravityCheck(parameters.frame_convention, self._terms.C_b_i)
         self._average = parameters.dvl.gyro_average
@@ -63,10 +147,8 @@ class AlignmentCheck:
         self._stamps = np.empty(_STEPS, np.int64)  # ends of intervals
         self._f = np.empty((_STEPS, 3))
         self._w = np.empty((_STEPS, 3))
-        self._size = self._steps = 0
         self._sums = np.zeros((2, 3))  # of the interval that is not complete, times its time
-        self._begin_ns: int | None = None
-        self._newest_ns: int | None = None
+        self._clock = np.array([NEVER, NEVER, 0, 0])
         self._waiting: list[tuple[int, bytes]] = []
         self._pings: list[tuple[int, Array]] = []  # of the window, the first being its start
 
@@ -79,50 +161,53 @@ class AlignmentCheck:
     def add(self, event: Event) -> None:
         """Take an event; one without axes is ignored."""
         if isinstance(event, Imu):
-            self._add_sample(event)
-        elif isinstance(event, Dvl) and event.v_d.any() and all(event.measured):
+            stamps_ns = np.array([event.stamp_ns])
+            self.add_samples(stamps_ns, event.f_b[None], event.w_ib_b[None])
+            return
+        if isinstance(event, Dvl) and event.v_d.any() and all(event.measured):
             insort(self._waiting, (event.stamp_ns, event.v_d.tobytes()))
             del self._waiting[_WAITING:]  # the earliest is the next to be used
         self._take_pings()
 
-    def _add_sample(self, sample: Imu) -> None:
-        stamp_ns = sample.stamp_ns
-        if self._newest_ns is None:
-            self._newest_ns = self._begin_ns = stamp_ns
-            return
-        if stamp_ns <= self._newest_ns:
-            return
-        if stamp_ns - self._newest_ns > self._max_gap_ns:
-            self._size, self._pings = 0, []
-            self._sums[:] = 0.0
-            self._begin_ns = stamp_ns
-        dt = (stamp_ns - self._newest_ns) / NS
-        self._newest_ns = stamp_ns
-        self._gravity.add(sample)
-        if self._begin_ns == stamp_ns:
-            return
-        self._sums[0] += dt * sample.f_b
-        self._sums[1] += dt * sample.w_ib_b
-        if stamp_ns - self._begin_ns < STEP_NS:
-            return
-        if self._size == _STEPS:  # the window has no late DVL to wait for any more
-            self._drop(_STEPS // 4)
-            self._pings = []
-        mean = self._sums / ((stamp_ns - self._begin_ns) / NS)
-        self._stamps[self._size], self._f[self._size], self._w[self._size] = stamp_ns, *mean
-        self._size += 1
-        self._sums[:] = 0.0
-        self._begin_ns = stamp_ns
-        self._steps += 1
-        if self._steps % THINK == 0:
-            self._think()
+    def add_samples(self, stamps_ns: Stamps, f_b: Array, w_ib_b: Array) -> None:
+        """Take samples, stamps (N,) that rise, specific forces and angular rates (N, 3)."""
+        first = int(np.searchsorted(stamps_ns, self._clock[_NEWEST], side="right"))
+        if self._clock[_NEWEST] == NEVER and first < len(stamps_ns):
+            self._clock[_NEWEST] = self._clock[_BEGIN] = stamps_ns[first]
+            first += 1
+        self._gravity.add(stamps_ns[first:], f_b[first:])
+        while first < len(stamps_ns):
+            ping_ns = self._waiting[0][0] if self._waiting else FOREVER
+            think = THINK if self._suspected or self._thought is not None else 0
+            arrays = self._sums, self._stamps, self._f, self._w
+            first, is_broken, is_complete = _average(
+                stamps_ns,
+                f_b,
+                w_ib_b,
+                first,
+                self._max_gap_ns,
+                ping_ns,
+                think,
+                self._clock,
+                *arrays,
+            )
+            if is_broken:  # a gap, or the window has no late DVL to wait for any more
+                self._pings = []
+            if think and is_complete and self._clock[_STEPS_DONE] % THINK == 0:
+                self._think()
+            self._take_pings()
+
+    @property
+    def _size(self) -> int:
+        """Number of intervals that are kept."""
+        return int(self._clock[_SIZE])
 
     def _drop(self, n: int) -> None:
         """Forget the first n intervals."""
         left = self._size - n
         for array in self._stamps, self._f, self._w:
             array[:left] = array[n : self._size].copy()
-        self._size = left
+        self._clock[_SIZE] = left
 
     def _take_pings(self) -> None:
         """Use the DVL measurements up to the last interval of the IMU."""
@@ -166,8 +251,10 @@ class AlignmentCheck:
             self._average,
         )
         self._motions.append(Motion(samples))
-        self._suspected = self._search.suspects(self._motions)
         self._closed += 1
+        if not self._thinks:
+            return
+        self._suspected = self._search.suspects(self._motions)
         if not self._suspected:
             self._explanations = []
 
@@ -193,7 +280,11 @@ class AlignmentCheck:
 
     def finish(self) -> None:
         """Explain all windows at once, at the end of a recording: some seconds where any is odd."""
-        if not self._suspected or len(self._motions) < FEWEST_WINDOWS:
+        if len(self._motions) < FEWEST_WINDOWS:
+            return
+        if not self._thinks:
+            self._suspected = self._search.suspects(self._motions)
+        if not self._suspected:
             return
         for motion in self._motions:
             if not motion.tried:

@@ -8,15 +8,15 @@ is a parabola in t but for the noise of the DVL; the scale stands at the IMU's s
 noise, which is in v_d, is the same for every C and does not bias it.
 """
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
-from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array
+from insdvl.navigation.geometry.frames import rotation_from_vector, vector_from_rotation
 from insdvl.watch.alignment.windows import SLOW, Bases, Noise, Window, joined
 
 #: Columns of the unknowns: a turn of the DVL [rad], ln(kappa), change of the lever arm [m], delay
@@ -33,6 +33,13 @@ SIZE = 15
 
 CLIMB = 0.1  # one sigma of the mean vertical velocity, as a part of the speed
 MOST_NOISE = 0.25  # of the power of F, up to which the noise in it is known well enough
+#: The 24 turns by right angles.
+_RIGHT_ANGLES = [
+    turn
+    for order in itertools.permutations(range(3))
+    for signs in itertools.product((1.0, -1.0), repeat=3)
+    if np.linalg.det(turn := np.diag(signs)[list(order)]) > 0.0
+]
 _STEPS = 15
 _LINEAR_STEPS = 6
 _POOLED = 4  # steps with one noise of all windows, before each has its own
@@ -82,7 +89,7 @@ def rows(w: Window, known: Mounted, x: Array) -> Array:
         x: (15,) values of the unknowns.
     """
     kappa = math.exp(x[SCALE])
-    turned = w.v_d @ (Rotation.from_rotvec(x[MOUNT]).as_matrix() @ known.C_b_d).T
+    turned = w.v_d @ (rotation_from_vector(x[MOUNT]) @ known.C_b_d).T
     of_arm = np.cross(w.w, known.l_b + x[ARM])
     u = turned - kappa * of_arm
     Ru = np.einsum("kij,kj->ki", w.R, u)
@@ -151,7 +158,7 @@ class Travel:
 
     def row(self, known: Mounted, x: Array) -> Array:
         """Derivatives (16,) by the unknowns of the mean climb, and itself, divided by its sigma."""
-        C = Rotation.from_rotvec(x[MOUNT]).as_matrix() @ known.C_b_d
+        C = rotation_from_vector(x[MOUNT]) @ known.C_b_d
         v_b = C @ self.v_d / self.speed
         row = np.zeros(SIZE + 1)
         row[MOUNT] = np.cross(v_b, self.up)
@@ -240,8 +247,8 @@ def _information(info: Information, noise: Noise) -> Array:
 def _step(info: Information, at: Array, prior: Prior, noise: Noise) -> Array:
     """Step (15,) from `at` to the most probable values of the linear problem."""
     N = _information(info, noise)
-    factor = cho_factor(N[:-1, :-1] + np.diag(prior.sigma**-2))
-    return cho_solve(factor, -N[:-1, -1] - (at - prior.mean) / prior.sigma**2)
+    A = N[:-1, :-1] + np.diag(prior.sigma**-2)
+    return np.linalg.solve(A, -N[:-1, -1] - (at - prior.mean) / prior.sigma**2)
 
 
 def _covariance(info: Information, prior: Prior, noise: Noise) -> Array:
@@ -333,9 +340,9 @@ class Problem:
             step = _step(info, values, prior, noise)
             size = max(np.abs(step[MOUNT]).max() / 0.5, abs(step[SCALE]), abs(step[DELAY]) / 0.5)
             step = step / max(size, 1.0)
-            turn = Rotation.from_rotvec(step[MOUNT]) * Rotation.from_rotvec(values[MOUNT])
+            turn = rotation_from_vector(step[MOUNT]) @ rotation_from_vector(values[MOUNT])
             values = values + step
-            values[MOUNT] = turn.as_rotvec()
+            values[MOUNT] = vector_from_rotation(turn)
             info = self.at(values)
             if k >= _POOLED and (np.abs(step) < 1e-2 * prior.sigma).all():
                 break
@@ -351,18 +358,18 @@ class Problem:
         They are the best of some turns: of those about the vertical by half right angles, and, if
         it need not be level, of the 24 by right angles.
         """
-        turns = Rotation.from_rotvec([[0.0, 0.0, k * math.pi / 4.0] for k in range(8)])
+        turns = [rotation_from_vector(np.array([0.0, 0.0, k * math.pi / 4.0])) for k in range(8)]
         if not level:
-            turns = Rotation.concatenate([turns, Rotation.create_group("O")])
+            turns += _RIGHT_ANGLES
         products = self._of_turns
         misfits = []
         for turn in turns:
-            x = np.append(turn.as_matrix().ravel(), -math.exp(prior.mean[SCALE]))
+            x = np.append(turn.ravel(), -math.exp(prior.mean[SCALE]))
             misfits.append(float(x @ products @ x))
         found = []
         for k in np.argsort(misfits)[:2]:
             start = np.zeros(SIZE)
-            start[MOUNT] = turns[int(k)].as_rotvec()
+            start[MOUNT] = vector_from_rotation(turns[int(k)])
             start[SCALE] = prior.mean[SCALE]
             found.append(start)
         return found
@@ -372,14 +379,14 @@ class Problem:
 
         These are what the motion tells least.
         """
-        turn = Rotation.from_rotvec(fit.values[MOUNT])
-        along = turn.as_matrix() @ self._known.C_b_d @ self._all.v_d.mean(axis=0)
+        turn = rotation_from_vector(fit.values[MOUNT])
+        along = turn @ self._known.C_b_d @ self._all.v_d.mean(axis=0)
         along /= max(float(np.linalg.norm(along)), 1e-9)
         found = []
         for quarter in range(1, 4):
             start = fit.values.copy()
-            rolled = Rotation.from_rotvec(along * quarter * math.pi / 2.0) * turn
-            start[MOUNT] = rolled.as_rotvec()
+            rolled = rotation_from_vector(along * quarter * math.pi / 2.0) @ turn
+            start[MOUNT] = vector_from_rotation(rolled)
             found.append(start)
         return found
 

@@ -3,11 +3,10 @@
 from collections import deque
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from insdvl.arrays import Array
-from insdvl.navigation.events import NS, Imu
-from insdvl.navigation.geometry.frames import CONVENTIONS, rpy_from_rotation
+from insdvl.arrays import Array, Stamps
+from insdvl.navigation.events import NS
+from insdvl.navigation.geometry.frames import CONVENTIONS, rotation_from_vector, rpy_from_rotation
 
 GRAVITY = 9.81  # m/s^2, accurate enough for a sign
 BLOCK_NS = 10 * NS  # length of a block with a mean specific force
@@ -38,16 +37,21 @@ class GravityCheck:
         self._end_ns: int | None = None
         self._forces: deque[Array] = deque(maxlen=BLOCKS)
 
-    def add(self, sample: Imu) -> None:
-        """Take a sample; they come in the order of their stamps."""
-        if self._end_ns is None:
-            self._end_ns = sample.stamp_ns + BLOCK_NS
-        self._block += sample.f_b
-        self._size += 1
-        if sample.stamp_ns >= self._end_ns:
-            self._forces.append(self._C_b_i @ self._block / self._size)
-            self._block[:] = 0.0
-            self._size, self._end_ns = 0, sample.stamp_ns + BLOCK_NS
+    def add(self, stamps_ns: Stamps, f_b: Array) -> None:
+        """Take samples, stamps (N,) and specific forces (N, 3), in the order of their stamps."""
+        first = 0
+        while first < len(stamps_ns):
+            if self._end_ns is None:
+                self._end_ns = int(stamps_ns[first]) + BLOCK_NS
+            last = first + int(np.searchsorted(stamps_ns[first:], self._end_ns))
+            part = f_b[first : last + 1]
+            self._block += part.sum(axis=0)
+            self._size += len(part)
+            if last < len(stamps_ns):
+                self._forces.append(self._C_b_i @ self._block / self._size)
+                self._block[:] = 0.0
+                self._size, self._end_ns = 0, int(stamps_ns[last]) + BLOCK_NS
+            first = last + 1
 
     @property
     def mean(self) -> Array | None:
@@ -95,6 +99,6 @@ class GravityCheck:
         f = np.mean(self._forces, axis=0)
         axis = np.cross(f, _UP)
         angle = np.arctan2(np.linalg.norm(axis), f @ _UP)
-        turn = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix()
+        turn = rotation_from_vector(angle * axis / np.linalg.norm(axis))
         rpy = rpy_from_rotation(self._axes @ turn @ self._C_b_i @ self._axes)
         return tuple(round(float(x), 2) for x in rpy + 0.0)

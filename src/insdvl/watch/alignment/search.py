@@ -5,10 +5,10 @@ from collections.abc import Generator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array, Stamps
 from insdvl.navigation.events import NS
+from insdvl.navigation.geometry.frames import rotation_from_vector
 from insdvl.watch.alignment.causes import NOTHING, TURNS, Cause, Miswired
 from insdvl.watch.alignment.estimation import (
     MOUNT,
@@ -311,7 +311,7 @@ class Search:
 
     def _turn(self, cause: Cause | Miswired, fit: Fit) -> Array:
         """DVL to body (3, 3) when a cause is taken for right."""
-        turn = Rotation.from_rotvec(fit.values[MOUNT]).as_matrix() @ self.known.C_b_d
+        turn = rotation_from_vector(fit.values[MOUNT]) @ self.known.C_b_d
         return turn @ cause.dvl if isinstance(cause, Miswired) else turn
 
     @staticmethod

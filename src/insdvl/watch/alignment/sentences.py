@@ -6,10 +6,15 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array
-from insdvl.navigation.geometry.frames import CONVENTIONS, rotation_from_rpy, rpy_from_rotation
+from insdvl.navigation.geometry.frames import (
+    CONVENTIONS,
+    rotation_from_rpy,
+    rotation_from_vector,
+    rpy_from_rotation,
+    vector_from_rotation,
+)
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.watch.alignment.causes import DEGREES, UNITS, Cause, Miswired
 from insdvl.watch.alignment.estimation import (
@@ -93,7 +98,7 @@ class Terms:
         x, sigma = fit.values, fit.sigma
         scale = math.exp(-x[SCALE])
         return Alignment(
-            mount=self.rpy(Rotation.from_rotvec(x[MOUNT]).as_matrix() @ self.known.C_b_d),
+            mount=self.rpy(rotation_from_vector(x[MOUNT]) @ self.known.C_b_d),
             mount_std=sigma[MOUNT],
             scale=scale,
             scale_std=scale * float(sigma[SCALE]),
@@ -117,7 +122,7 @@ class Terms:
             found = self.alignment(fit)
             parts: list[Remedy] = []
             if explanation.accuses & {"mount"}:
-                turn = Rotation.from_rotvec(fit.values[MOUNT]).as_matrix()
+                turn = rotation_from_vector(fit.values[MOUNT])
                 parts.append(self._turned(turn, found.mount_std, force, v_d))
             if explanation.accuses & {"scale"}:
                 parts.append(Remedy(_scaled(cause.unit, found)))
@@ -146,7 +151,7 @@ class Terms:
         if cause.sensor == "DVL" and np.linalg.det(cause.matrix) > 0.0:
             C_b_d = self.known.C_b_d
             turn = C_b_d @ cause.matrix @ C_b_d.T
-            turn = Rotation.from_rotvec(fit.values[MOUNT]).as_matrix() @ turn
+            turn = rotation_from_vector(fit.values[MOUNT]) @ turn
             return self._turned(turn, fit.sigma[MOUNT], force, v_d)
         return Remedy(self._axes_of(cause))
 
@@ -156,7 +161,7 @@ class Terms:
         The vertical tells which, or the direction of travel, which is forward for most vehicles.
         """
         of_dvl, of_imu = turn @ self.known.C_b_d, turn.T @ self.C_b_i
-        by = np.degrees(self._axes @ Rotation.from_matrix(turn).as_rotvec())
+        by = np.degrees(self._axes @ vector_from_rotation(turn))
         angle = float(np.linalg.norm(by))
         names = [f"{'xyz'[i]} by {by[i]:+.1f} deg" for i in range(3) if abs(by[i]) > 0.1 * angle]
         what = f"turned about {', '.join(names)} (sigma {_list(np.degrees(sigma), 1)} deg)"

@@ -1,6 +1,5 @@
 """Mounts and lever arms from the /tf_static of a recording, as the filter node takes them."""
 
-from collections.abc import Sequence
 from pathlib import Path
 
 from insdvl.messages.convert import RejectedMessage
@@ -9,11 +8,12 @@ from insdvl.messages.topics import taken
 from insdvl.messages.transforms import TF_MESSAGE, TF_STATIC
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.recordings.bag_reader import BagReader
-from insdvl.recordings.base import BagError, Raw, decode
+from insdvl.recordings.base import BagError, decode
+from insdvl.recordings.played import Recording
 
 
 def with_extrinsics(
-    path: Path, recording: Sequence[Raw], parameters: FilterParameters
+    path: Path, recording: Recording, parameters: FilterParameters
 ) -> FilterParameters:
     """The filter's parameters, with what /tf_static tells where ``extrinsics`` asks for it.
 
@@ -37,11 +37,13 @@ def with_extrinsics(
             except RejectedMessage as error:
                 raise BagError(f"{TF_STATIC} of {path}: {error}") from error
     names = {name.lstrip("/"): name for name in topics}
-    heard: set[str] = set()
-    for raw in recording:
-        if raw.topic in names and raw.topic not in heard:
-            heard.add(raw.topic)
+    to_hear = recording.topics.intersection(names)
+    for raw in recording.on(to_hear):
+        if raw.topic in to_hear:
+            to_hear -= {raw.topic}
             extrinsics.hear(names[raw.topic], decode(raw).message)
+        if not to_hear:
+            break
     if missing := extrinsics.missing():
         raise BagError(f"extrinsics is 'tf': {'; '.join(missing)}")
     return extrinsics.applied(parameters)

@@ -1,0 +1,1 @@
+"""What is told to a replay beside the recording: added noise, a learned Q, mounts from /tf."""

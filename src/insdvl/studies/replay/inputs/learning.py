@@ -1,0 +1,61 @@
+"""The process noise that the tuner node would have published on a recording."""
+
+from collections.abc import Collection, Iterator
+
+from insdvl.messages.convert import RejectedMessage, vector
+from insdvl.messages.topics import IMU, PROCESS_NOISE
+from insdvl.recordings.base import Raw, decode, encode
+from insdvl.recordings.messages import imu_message
+from insdvl.recordings.played import Recording
+from insdvl.tuner.parameters import TunerParameters
+from insdvl.tuner.republish import set_learned, tune
+from insdvl.tuner.tuner import Tuner
+
+
+class Learned(Recording):
+    """A recording with the process noise that the tuner learns from its IMU.
+
+    Args:
+        recording: Without process noise.
+        parameters: Of the tuner.
+
+    Raises:
+        ModelError: The model cannot be used.
+    """
+
+    def __init__(self, recording: Recording, parameters: TunerParameters) -> None:
+        self._recording, self._parameters = recording, parameters
+        Tuner(parameters)
+
+    @property
+    def topics(self) -> frozenset[str]:
+        """See `Recording`."""
+        return self._recording.topics | {PROCESS_NOISE}
+
+    def on(self, topics: Collection[str]) -> Iterator[Raw]:
+        """See `Recording`."""
+        if PROCESS_NOISE not in topics:
+            yield from self._recording.on(topics)
+            return
+        tuner = Tuner(self._parameters)
+        for raw in self._recording.on({*topics, IMU}):
+            if raw.topic in topics:
+                yield raw
+            if raw.topic == IMU and (learned := _learned(raw, tuner)) is not None:
+                yield learned
+
+
+def _learned(raw: Raw, tuner: Tuner) -> Raw | None:
+    """What the tuner publishes on a sample, if anything."""
+    message = decode(raw).message
+    try:
+        tuned = tune(tuner, message)
+    except RejectedMessage:  # counted where the recording is folded
+        return None
+    if tuned is None:
+        return None
+    f = vector(message.linear_acceleration, "linear_acceleration")
+    w = vector(message.angular_velocity, "angular_velocity")
+    copy = imu_message(tuned.stamp_ns, message.header.frame_id, f, w)
+    set_learned(copy, tuned)
+    return encode(PROCESS_NOISE, raw.time_ns, copy)

@@ -1,0 +1,194 @@
+"""The recorded reference, and the states at its stamps."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from insdvl.arrays import Array, Records, Stamps
+from insdvl.messages import convert
+from insdvl.messages.cdr.odometries import decode_odometries
+from insdvl.messages.cdr.odometry_bytes import OdometryColumns
+from insdvl.messages.convert import RejectedMessage
+from insdvl.messages.topics import TRUTH
+from insdvl.navigation.events import MAX_VARIANCE
+from insdvl.navigation.filter import Filter
+from insdvl.navigation.geometry.frames import NED
+from insdvl.navigation.geometry.odom import MAX_FROM_ORIGIN
+from insdvl.navigation.odometry import odometries
+from insdvl.recordings.base import Raw, decode
+from insdvl.recordings.played import Recording
+from insdvl.studies.evaluation.metrics import Track
+from insdvl.studies.replay.consumer import Consumer
+
+#: Messages that are read at once.
+_BATCH = 4096
+
+
+def truth_of(recording: Recording) -> tuple[Stamps, Track]:
+    """Stamps (M,) and states of the ground truth, in the axes of the stream."""
+    messages = recording.on([TRUTH])
+    stamps: list[Stamps] = [np.empty(0, np.int64)]
+    columns: tuple[list[Array], ...] = [np.empty((0, 3, 3))], [np.empty((0, 3))], [np.empty((0, 3))]
+    while batch := list(islice(messages, _BATCH)):
+        stamps_ns, *values = _states_of(batch)
+        stamps.append(stamps_ns)
+        for column, value in zip(columns, values, strict=True):
+            column.append(value)
+    C, v_b, p_o = (np.concatenate(column) for column in columns)
+    return np.concatenate(stamps), Track(C, v_b, p_o)
+
+
+def _states_of(raws: Sequence[Raw]) -> tuple[Stamps, Array, Array, Array]:
+    """Stamps, attitudes, velocities in body axes and positions of the messages that can be used."""
+    first = decode(raws[0]).message
+    frames = str(first.header.frame_id), str(first.child_frame_id)
+    told, is_known = decode_odometries([raw.data for raw in raws], frames)
+    is_known &= _is_plain(told)
+    stamps_ns, v_b, p_o = told.stamps_ns, told.linear, told.position
+    C = np.empty((len(raws), 3, 3))
+    C[is_known] = Rotation.from_quat(told.quaternion_xyzw[is_known]).as_matrix()
+    for k in np.flatnonzero(~is_known).tolist():
+        try:
+            event = convert.initial(decode(raws[k]).message, NED, once=True)
+        except RejectedMessage:  # counted where it is folded
+            continue
+        stamps_ns[k], C[k], v_b[k], p_o[k] = event.stamp_ns, event.C_o_b, event.v, event.p_o
+        is_known[k] = True
+    return stamps_ns[is_known], C[is_known], v_b[is_known], p_o[is_known]
+
+
+def _is_plain(told: OdometryColumns) -> NDArray[np.bool_]:
+    """Whether odometries (N,) are such that `convert.initial` surely takes them."""
+    numbers = np.hstack([told.position, told.quaternion_xyzw, told.linear])
+    plain = np.isfinite(numbers).all(axis=1)
+    plain &= np.abs(np.linalg.norm(told.quaternion_xyzw, axis=1) - 1.0) < 0.99e-2
+    plain &= np.abs(told.position[:, :2]).max(axis=1) < 0.7 * MAX_FROM_ORIGIN
+    for P in told.pose_covariance, told.twist_covariance:
+        # Positive definite by its diagonal, as that of a reference with independent errors; or
+        # unknown.
+        diagonal = np.diagonal(P, axis1=1, axis2=2)
+        beside = np.abs(P).sum(axis=2) - np.abs(diagonal)
+        dominant = (diagonal >= beside).all(axis=1) & (diagonal.max(axis=1) <= MAX_VARIANCE)
+        plain &= dominant & (P.transpose(0, 2, 1) == P).all(axis=(1, 2))
+    return plain
+
+
+@dataclass(frozen=True)
+class AtReference:
+    """The reference and the filter at those M stamps of the reference for which there is a state.
+
+    Attributes:
+        stamps_ns: (M,) stamps, in the order of the reference.
+        truth: The reference, in the axes of the stream.
+        track: The filter.
+        sigma: (M, 6) what it says of its error, of velocity in body axes [m/s] and position [m].
+    """
+
+    stamps_ns: Stamps
+    truth: Track
+    track: Track
+    sigma: Array
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+
+class Reference(Consumer):
+    """Finds the states at the stamps of a reference, in the axes of the stream.
+
+    Between two stamps of the IMU position, velocity and sigmas are interpolated linearly, the
+    attitude along the shortest rotation. After a time jump it begins anew.
+
+    Args:
+        stamps_ns: (M,) stamps of the reference.
+        truth: Its states.
+    """
+
+    def __init__(self, stamps_ns: Stamps, truth: Track) -> None:
+        self._stamps_ns, self._truth = stamps_ns, truth
+        self._order = np.argsort(stamps_ns, kind="stable")
+        self._sorted_ns = stamps_ns[self._order]
+        self._begin()
+
+    def _begin(self) -> None:
+        self._row: Records | None = None  # odometry of the last state that was taken
+        self._row_ns = 0
+        self._indices: list[NDArray[np.intp]] = []
+        self._found: list[tuple[Array, ...]] = []  # C, v_b, p_o, sigma
+        self._is_over = False
+
+    def take(self, filter_: Filter, states: Records) -> None:
+        """See `Consumer`."""
+        if self._is_over:
+            self._begin()
+        known = np.flatnonzero(states["nav"]["initialised"])
+        if not known.size:
+            return
+        times_ns = np.ascontiguousarray(states["nav"]["time_ns"])
+        if self._row is None:
+            first = np.searchsorted(self._sorted_ns, times_ns[known[0]])
+        else:
+            first = np.searchsorted(self._sorted_ns, self._row_ns, side="right")
+        part = slice(first, np.searchsorted(self._sorted_ns, times_ns[-1], side="right"))
+        wanted_ns = self._sorted_ns[part]
+        after = np.searchsorted(times_ns, wanted_ns)
+        exact = times_ns[after] == wanted_ns
+        before = np.where(exact, after, after - 1)  # -1 is the last state of those before
+        last = len(states) - 1
+        needed, rows = np.unique(np.concatenate([before, after, [last]]), return_inverse=True)
+        table = odometries(filter_, states, needed[needed >= 0])
+        if needed[0] < 0:
+            table = np.concatenate([self._row, table])
+        if wanted_ns.size:
+            a, b = rows[: len(after)], rows[len(after) : -1]
+            before_ns = np.where(before < 0, self._row_ns, times_ns[before])
+            span = np.where(exact, 1, times_ns[after] - before_ns)
+            share = ((wanted_ns - before_ns) / span)[:, None]
+            self._indices.append(self._order[part])
+            self._found.append(_between(table, a, b, exact[:, None], share))
+        self._row, self._row_ns = table[-1:].copy(), int(times_ns[-1])
+
+    def end(self) -> None:
+        """See `Consumer`."""
+        self._is_over = True
+
+    @property
+    def result(self) -> AtReference:
+        """Of the last time that was taken."""
+        indices = np.concatenate([np.empty(0, np.intp), *self._indices])
+        order = np.argsort(indices)
+        shapes = (3, 3), (3,), (3,), (6,)
+        C, v_b, p_o, sigma = (
+            np.concatenate([np.empty((0, *shape)), *(found[k] for found in self._found)])[order]
+            for k, shape in enumerate(shapes)
+        )
+        at, truth = indices[order], self._truth
+        return AtReference(
+            self._stamps_ns[at],
+            Track(truth.C_n_b[at], truth.v_b[at], truth.p_o[at]),
+            Track(C, v_b, p_o),
+            sigma,
+        )
+
+
+def _between(
+    table: Records, a: NDArray[np.intp], b: NDArray[np.intp], exact: NDArray[np.bool_], share: Array
+) -> tuple[Array, ...]:
+    """C, v_b, p_o and sigma at a share (M, 1) of the way from rows a to rows b of odometries."""
+
+    def between(column: Array) -> Array:
+        return np.where(exact, column[b], column[a] + share * (column[b] - column[a]))
+
+    attitudes = Rotation.from_quat(table["quaternion_xyzw"][:, 0])
+    turn = (attitudes[a].inv() * attitudes[b]).as_rotvec()
+    C = (attitudes[a] * Rotation.from_rotvec(share * turn)).as_matrix()
+    variances: Sequence[Array] = [
+        np.diagonal(table[name], axis1=1, axis2=2)[:, :3]
+        for name in ("twist_covariance", "pose_covariance")
+    ]
+    sigma = np.sqrt(np.concatenate(variances, axis=1))
+    return C, between(table["twist_linear"]), between(table["position"]), between(sigma)

@@ -1,0 +1,121 @@
+"""The sentences of docs/results.md and docs/results/README.md, held against the numbers.
+
+They are written by hand. Each number in the answers of results.md belongs to a claim here.
+"""
+
+import re
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from insdvl.studies.results.command import documents
+from insdvl.studies.results.targets import row
+
+DOCS = Path(__file__).parents[3] / "docs"
+NUMBER = r"\d+(?:\.\d+)?"
+
+
+@cache
+def numbers() -> dict[str, Any]:
+    return documents(DOCS / "results")
+
+
+def ratio(scenario: str, approach: str, reference: str, metric: str = "body_rmse") -> float:
+    found = row(numbers()[f"{scenario}-calibrated"], approach)
+    assert found is not None
+    return float(found["ratio_to"][reference][metric][0])
+
+
+def gain(scenario: str, approach: str) -> float:
+    return 100.0 * (1.0 - ratio(scenario, approach, "best constant"))
+
+
+def calibration(scenario: str) -> float:
+    first = ratio(scenario, "hcf default", "first constant")
+    return 100.0 * (1.0 - first / ratio(scenario, "hcf default", "best constant"))
+
+
+def injected(name: str, reference: str, approach: str = "hcf default") -> float:
+    ratios = numbers()["vehicle"]["injections"][name]["ratio_to"][reference]
+    return float(ratios[approach]["body_velocity_rmse"][0])
+
+
+def as_recorded(metric: str) -> float:
+    ratios = numbers()["vehicle"]["as_recorded"]["ratio_to"]["hand-set"]
+    return float(ratios["hcf default"][metric][0])
+
+
+def heading_lost_after() -> float:
+    """Seconds until sqrt(eps t^3 / 3) is one radian, with eps = 0.001."""
+    return (3.0 / 0.001) ** (1.0 / 3.0)
+
+
+#: Sentences of the answers, N for each number, and what the numbers are.
+ANSWERS = {
+    "is N % below that of the best constant in `varying` and N % in `wide`": lambda: (
+        gain("varying", "hcf default"),
+        gain("wide", "hcf default"),
+    ),
+    "that is told the noise gains N % and N %": lambda: (
+        gain("varying", "oracle"),
+        gain("wide", "oracle"),
+    ),
+    "learned over closed form is N in both": lambda: (
+        ratio("varying", "hcf default", "closed form"),
+    ),
+    "the body velocity error falls by N % in `varying`": lambda: (
+        100.0 * (1.0 - ratio("varying", "hcf default", "first constant")),
+    ),
+    "Of that, N % is calibration": lambda: (calibration("varying"),),
+    "the body velocity error is N of that of a hand-set constant as they are": lambda: (
+        as_recorded("body_velocity_rmse"),
+    ),
+    "and N of that of the best constant with noise injected": lambda: (
+        injected("sensor", "best constant"),
+    ),
+    "drift by one radian in N s": lambda: (heading_lost_after(),),
+}
+
+
+def answers() -> str:
+    text = (DOCS / "results.md").read_text()
+    found = re.search(r"^1\. .*?(?=^!\[)", text, re.DOTALL | re.MULTILINE)
+    assert found
+    return " ".join(re.sub(r"^\d\. ", "", found.group(), flags=re.MULTILINE).split())
+
+
+@pytest.mark.parametrize("sentence", ANSWERS)
+def test_an_answer_has_the_number_of_the_study(sentence: str) -> None:
+    pattern = re.escape(sentence).replace("N\\ ", f"({NUMBER})\\ ")
+    found = re.search(pattern, answers())
+    assert found, f"docs/results.md does not say: {sentence}"
+    for told, value in zip(found.groups(), ANSWERS[sentence](), strict=True):
+        decimals = len(told.partition(".")[2])
+        assert f"{value:.{decimals}f}" == told, sentence
+
+
+def test_the_other_scenario_of_the_closed_form_has_the_same_number() -> None:
+    both = [ratio(name, "hcf default", "closed form") for name in ("varying", "wide")]
+    assert f"{both[0]:.4f}" == f"{both[1]:.4f}"
+
+
+def test_no_number_of_the_answers_is_without_a_claim() -> None:
+    left = answers()
+    for sentence in ANSWERS:
+        left = re.sub(re.escape(sentence).replace("N\\ ", f"{NUMBER}\\ "), "", left)
+    assert not re.findall(NUMBER, left), left
+
+
+def test_every_page_is_linked_and_there() -> None:
+    text = (DOCS / "results.md").read_text()
+    for page in re.findall(r"\]\(([^)#]+)\)", text):
+        assert (DOCS / page).exists(), page
+    pages = {f"results/{page.name}" for page in (DOCS / "results").glob("*.md")}
+    assert pages <= set(re.findall(r"\]\(([^)#]+)\)", text))
+
+
+def test_the_answer_fits_on_a_screen() -> None:
+    """Up to the picture, in lines of 100 characters."""
+    assert len((DOCS / "results.md").read_text().partition("![")[0].splitlines()) <= 25
