@@ -67,9 +67,12 @@ class _Waited:
         self._to_add = [(add, [e.handle for e in used.values()]) for add, used in kinds if used]
 
     def _used(self, entities: Iterable[Any]) -> dict[int, Any]:
-        """Those of the entities that were not destroyed, by the addresses of their handles."""
+        """Those of the entities that are to be handled, by the addresses of their handles."""
         used: dict[int, Any] = {}
         for entity in entities:
+            group = entity.callback_group
+            if group is not None and not group.can_execute(entity):
+                continue
             with suppress(InvalidHandle):
                 self._in_use.enter_context(entity.handle)
                 used[entity.handle.pointer] = entity
@@ -97,7 +100,10 @@ class _Waited:
 
 
 class NodeExecutor(SingleThreadedExecutor):
-    """Turns nodes in one thread; callbacks of subscriptions are plain functions."""
+    """Turns nodes in one thread; callbacks of subscriptions are plain functions.
+
+    A callback group lets its entities be handled always or never: it is asked when one is made.
+    """
 
     def __init__(self, *, context: Context | None = None) -> None:
         self._waited: _Waited | None = None
