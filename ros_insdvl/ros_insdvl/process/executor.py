@@ -142,8 +142,8 @@ class NodeExecutor(SingleThreadedExecutor):
             self._waited = _Waited(self.get_nodes(), guards, self._context)
         if self._tasks:
             timeout_sec = 0.0
-        forever = timeout_sec is None or timeout_sec < 0.0
-        subscriptions, others = self._waited.wait(-1 if forever else round(timeout_sec * NS))
+        timeout_ns = -1 if timeout_sec is None or timeout_sec < 0.0 else round(timeout_sec * NS)
+        subscriptions, others = self._waited.wait(timeout_ns)
         if self._is_shutdown:
             return
         if not self._context.ok():
