@@ -25,8 +25,5 @@ def nis_interval(rows: int, count: int, probability: float) -> tuple[float, floa
         count: Number of independent measurements.
         probability: Between 0 and 1.
     """
-    from scipy.special import gammaincinv  # slow to import, and few need it
-
-    half, tail = rows * count / 2.0, (1.0 - probability) / 2.0
-    low, high = (2.0 * float(gammaincinv(half, p)) / count for p in (tail, 1.0 - tail))
-    return low, high
+    tail = (1.0 - probability) / 2.0
+    return exceeded(rows * count, 1.0 - tail) / count, exceeded(rows * count, tail) / count

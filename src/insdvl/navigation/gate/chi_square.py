@@ -21,19 +21,14 @@ def exceeded(dof: int, tail: float) -> float:
 
 
 def _tail(x: float, dof: int) -> float:
-    """Probability that x >= 0 is exceeded.
+    """Probability that x > 0 is exceeded.
 
     It is Q(dof / 2, x / 2), a finite sum for an integer: Abramowitz and Stegun, Handbook of
     Mathematical Functions, 1964, eqs. (26.4.4) and (26.4.5).
     """
-    h = x / 2.0
-    if dof % 2:
-        total, k = math.erfc(math.sqrt(h)), 1.5
-        term = 2.0 * math.sqrt(h / math.pi) * math.exp(-h)
-    else:
-        total, k, term = 0.0, 1.0, math.exp(-h)
-    while k <= dof / 2.0:
-        total += term
-        term *= h / k
+    h, k = x / 2.0, 0.5 * (dof % 2)
+    total = math.erfc(math.sqrt(h)) if dof % 2 else 0.0
+    while k < dof / 2.0:
+        total += math.exp(k * math.log(h) - h - math.lgamma(k + 1.0))  # no underflow at a large dof
         k += 1.0
     return total
