@@ -2,6 +2,7 @@
 
     make bench-nodes                        # prints the table; ARGS="--json FILE" keeps it
     make bench-nodes ARGS="--nodes filter bare --rates 1000"
+    make bench-nodes ARGS=--stall           # how fast the filter catches up after a stall
 
 Each node runs in a process of its own and is sent IMU messages at a rate, and a DVL message a
 second. A message is sent when it is due and the one before is answered (by the odometry; the tuner
@@ -32,6 +33,7 @@ from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
@@ -41,11 +43,14 @@ from sensor_msgs.msg import Imu
 from insdvl.messages.make import fill_imu, fill_twist
 from insdvl.messages.topics import DVL, IMU, ODOMETRY, PROCESS_NOISE
 from insdvl.navigation.events import NS
+from ros_insdvl.filter import FilterNode
+from ros_insdvl.process.executor import NodeExecutor
 from ros_insdvl_sim.trials.environment import isolate
 
 NODES = ("filter", "tuner", "navigator", "bare")
 RATES = (100, 1000)  # Hz
 PARTS = 7  # of a run, after a first one that is not counted
+STALL = 10  # s
 PATIENCE = 300.0  # s; only a hang takes so long
 SETTLE = 10.0  # s without a message after which the last one has come
 LATEST = 1.0  # s after which an answer is not waited for any more
@@ -140,13 +145,14 @@ def wait_for(condition: Callable[[], bool], what: str, process: "subprocess.Pope
 class Peer:
     """Sends what the sensors send, and counts what comes back."""
 
-    def __init__(self, node: Node, output: str) -> None:
-        self.imu: Publisher = node.create_publisher(Imu, IMU, DEEP)
+    def __init__(self, node: Node, output: str, depth: int = 5000) -> None:
+        qos = QoSProfile(depth=depth)
+        self.imu: Publisher = node.create_publisher(Imu, IMU, qos)
         self.dvl: Publisher = node.create_publisher(TwistStamped, DVL, DEEP)
         self._answers = output == ODOMETRY
         self._type = Odometry if self._answers else Imu
         self._heard: Subscription = node.create_subscription(
-            self._type, output, lambda data: None, DEEP, raw=True
+            self._type, output, lambda data: None, qos, raw=True
         )
         imu = Imu()
         imu.header.frame_id = "imu_link"
@@ -158,8 +164,14 @@ class Peer:
         self.sent = 0
         self.heard = 0
 
-    def send(self, count: int, rate: int) -> None:
-        """Send IMU messages at a rate, and what belongs between them."""
+    def send(self, count: int, rate: int, *, answered: bool = True) -> None:
+        """Send IMU messages at a rate, and what belongs between them.
+
+        Args:
+            count: Number of messages.
+            rate: Of the messages [Hz].
+            answered: Whether each one is to be answered before the next.
+        """
         step_ns, start_ns = NS // rate, 1_700_000_000 * NS
         noise = self._random.normal(0.0, 0.01, (count, 6))
         began = time.monotonic()
@@ -174,7 +186,8 @@ class Peer:
             if self.sent % rate == 0:
                 fill_twist(self._ping, stamp_ns, self._random.normal(0.0, 0.02, 3))
                 self.dvl.publish(self._ping)
-            self.await_answer()
+            if answered:
+                self.await_answer()
             if (ahead := began + (k + 1) / rate - time.monotonic()) > 0.0:
                 time.sleep(ahead)
 
@@ -242,6 +255,43 @@ def measured(name: str, rate: int, seconds: float, logs: Path) -> Row:
         node.destroy_node()
 
 
+def stall() -> str:
+    """How a filter fares that does nothing for `STALL` seconds of an IMU at 1 kHz.
+
+    It lives in this process and is not turned meanwhile. What the sensors send is CPU time of this
+    process too, but before the filter is turned.
+    """
+    rate = RATES[-1]
+    values = {
+        "imu.rate": float(rate),
+        "initial.mode": "parameters",
+        "dvl.type": "geometry_msgs/msg/TwistStamped",
+        f"qos_overrides./{IMU}.subscription.reliability": "reliable",
+    }
+    node = Node("sensors", start_parameter_services=False)
+    peer = Peer(node, ODOMETRY, depth=2 * STALL * rate)
+    overrides = [Parameter(name, value=value) for name, value in values.items()]
+    filter_node = FilterNode(parameter_overrides=overrides)
+    executor = NodeExecutor()
+    executor.add_node(filter_node)
+    while peer.imu.get_subscription_count() == 0 or node.count_publishers(ODOMETRY) == 0:
+        executor.spin_once(0.01)
+    count = STALL * rate
+    peer.send(count, rate, answered=False)
+    began, used = time.monotonic(), time.process_time()
+    while peer.heard < count and time.monotonic() - began < PATIENCE:
+        executor.spin_once(1.0)
+        peer.take()
+    took, used = time.monotonic() - began, time.process_time() - used
+    executor.let_go()
+    filter_node.destroy_node()
+    node.destroy_node()
+    return (
+        f"a stall of {STALL} s at {rate} Hz: {count - peer.heard} of {count} lost, caught up at "
+        f"{STALL / took:.1f} times real time, with {used / count * 1e3:.3f} ms of CPU per message"
+    )
+
+
 def main() -> int:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -249,6 +299,7 @@ def main() -> int:
     parser.add_argument("--rates", nargs="+", type=int, default=RATES, help="of the IMU [Hz]")
     parser.add_argument("--seconds", type=float, default=3.0, help="of each part of a run")
     parser.add_argument("--json", type=Path, help="keep the rows in this file")
+    parser.add_argument("--stall", action="store_true", help="a stall, in place of the table")
     parser.add_argument("--bare", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.bare:
@@ -259,6 +310,10 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="insdvl-bench-") as logs:
         os.environ["ROS_LOG_DIR"] = logs
         rclpy.init()
+        if options.stall:
+            print(stall())
+            rclpy.try_shutdown()
+            return 0
         print("node        rate   CPU per IMU message   memory   sent     lost")
         for rate in options.rates:
             for name in options.nodes:

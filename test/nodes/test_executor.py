@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 import rclpy
 from graphs import RELIABLE
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
@@ -174,3 +175,25 @@ def test_a_node_that_was_removed_is_not_turned(pair: Pair) -> None:
     assert heard == []
     pair.executor.add_node(pair.nodes[1])
     pair.until(lambda: heard == [1])
+
+
+class Never(MutuallyExclusiveCallbackGroup):
+    """A group whose callbacks nobody is to call."""
+
+    def can_execute(self, entity: Any) -> bool:
+        return False
+
+
+def test_a_subscription_that_its_group_holds_back_keeps_its_messages(pair: Pair) -> None:
+    heard: list[int] = []
+    one, two = pair.nodes
+    publisher = one.create_publisher(Int32, "numbers", RELIABLE)
+    subscription = two.create_subscription(
+        Int32, "numbers", lambda message: heard.append(1), RELIABLE, callback_group=Never()
+    )
+    pair.until(lambda: publisher.get_subscription_count() == 1)
+    publisher.publish(Int32(data=5))
+    pair.idle()
+    assert heard == []
+    with subscription.handle:
+        assert subscription.handle.take_message(Int32, False)[0].data == 5

@@ -98,7 +98,8 @@ def test_data_files_are_installed(package: str) -> None:
 
 def test_discovery_profile_is_installed() -> None:
     share = Path(get_package_share_directory("ros_insdvl"))
-    assert (share / "config" / "fastdds_localhost.xml").is_file()
+    for profile in ("fastdds.xml", "fastdds_localhost.xml"):
+        assert (share / "config" / profile).is_file()
 
 
 def test_commands_of_the_nodes_exist() -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import rclpy
-from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+from ament_index_python.packages import get_package_share_directory
 from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.executors import ExternalShutdownException
 
@@ -97,7 +97,7 @@ def _init() -> None:
 
     With Fast DDS and no profile of the user's own, subscriptions may be as deep as they ask.
     """
-    with suppress(PackageNotFoundError, LookupError):  # the nodes run from their sources
+    with suppress(LookupError, OSError):  # the nodes run from their sources
         share = Path(get_package_share_directory("ros_insdvl"))
         os.environ.setdefault(PROFILES, str(share / "config" / "fastdds.xml"))
     try:

@@ -6,8 +6,10 @@ waits for until an entity is made or destroyed, and calls the callbacks of subsc
 Timers, services, guard conditions and tasks are rare: for them it calls rclpy's own, which waits
 for nothing then and finds them ready.
 
-rclpy has an EventsExecutor, in C++ and experimental. It is not used: its spin does not return when
-the process is interrupted.
+rclpy has an EventsExecutor, in C++ and experimental. A bare loop of bytes takes 0.09 ms of CPU time
+per message with it, 0.13 ms with this one and 0.58 ms with rclpy's own. It is not used: its spin
+does not return when the process is interrupted, it refuses guard conditions, and with an error of a
+callback it forgets the messages that wait behind.
 """
 
 from collections.abc import Iterable
@@ -54,11 +56,23 @@ class _Waited:
             0,
             context.handle,
         )
+        kinds = (
+            (self._set.add_subscription, self._subscriptions),
+            (self._set.add_guard_condition, self._node_guards),
+            (self._set.add_guard_condition, self._guards),
+            (self._set.add_timer, self._timers),
+            (self._set.add_client, self._clients),
+            (self._set.add_service, self._services),
+        )
+        self._to_add = [(add, [e.handle for e in used.values()]) for add, used in kinds if used]
 
     def _used(self, entities: Iterable[Any]) -> dict[int, Any]:
-        """Those of the entities that were not destroyed, by the addresses of their handles."""
+        """Those of the entities that are to be handled, by the addresses of their handles."""
         used: dict[int, Any] = {}
         for entity in entities:
+            group = entity.callback_group
+            if group is not None and not group.can_execute(entity):
+                continue
             with suppress(InvalidHandle):
                 self._in_use.enter_context(entity.handle)
                 used[entity.handle.pointer] = entity
@@ -72,17 +86,9 @@ class _Waited:
         """Wait until something is ready: the subscriptions, and whether anything else is."""
         waited = self._set
         waited.clear_entities()
-        for subscription in self._subscriptions.values():
-            waited.add_subscription(subscription.handle)
-        for guards in (self._node_guards, self._guards):
-            for guard in guards.values():
-                waited.add_guard_condition(guard.handle)
-        for timer in self._timers.values():
-            waited.add_timer(timer.handle)
-        for client in self._clients.values():
-            waited.add_client(client.handle)
-        for service in self._services.values():
-            waited.add_service(service.handle)
+        for add, handles in self._to_add:
+            for handle in handles:
+                add(handle)
         waited.wait(timeout_ns)
         ready = waited.get_ready_entities
         guards = ready("guard_condition")
@@ -94,7 +100,10 @@ class _Waited:
 
 
 class NodeExecutor(SingleThreadedExecutor):
-    """Turns nodes in one thread; callbacks of subscriptions are plain functions."""
+    """Turns nodes in one thread; callbacks of subscriptions are plain functions.
+
+    A callback group lets its entities be handled always or never: it is asked when one is made.
+    """
 
     def __init__(self, *, context: Context | None = None) -> None:
         self._waited: _Waited | None = None
@@ -133,8 +142,8 @@ class NodeExecutor(SingleThreadedExecutor):
             self._waited = _Waited(self.get_nodes(), guards, self._context)
         if self._tasks:
             timeout_sec = 0.0
-        forever = timeout_sec is None or timeout_sec < 0.0
-        subscriptions, others = self._waited.wait(-1 if forever else round(timeout_sec * NS))
+        timeout_ns = -1 if timeout_sec is None or timeout_sec < 0.0 else round(timeout_sec * NS)
+        subscriptions, others = self._waited.wait(timeout_ns)
         if self._is_shutdown:
             return
         if not self._context.ok():

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from insdvl.extras import extra
+from insdvl.messages.cdr.imu_bytes import decode_imu
 from insdvl.messages.convert import IMU
 from insdvl.navigation.events import NS
 
@@ -141,66 +142,8 @@ def _default(field: Any, store: Typestore) -> Any:
 # ---------------------------------------------------------------- bytes
 
 
-class _Time(NamedTuple):
-    sec: int
-    nanosec: int
-
-
-class _Header(NamedTuple):
-    stamp: _Time
-    frame_id: str
-
-
-class _Vector3(NamedTuple):
-    x: float
-    y: float
-    z: float
-
-
-class _Quaternion(NamedTuple):
-    x: float
-    y: float
-    z: float
-    w: float
-
-
-class _Imu(NamedTuple):
-    header: _Header
-    orientation: _Quaternion
-    orientation_covariance: tuple[float, ...]
-    angular_velocity: _Vector3
-    angular_velocity_covariance: tuple[float, ...]
-    linear_acceleration: _Vector3
-    linear_acceleration_covariance: tuple[float, ...]
-
-
 _ENCAPSULATION = 4  # bytes before a CDR message; alignment counts from behind them
 _HEADERS = {b"\x00\x01": struct.Struct("<iII"), b"\x00\x00": struct.Struct(">iII")}
-_IMU_BODIES = {b"\x00\x01": struct.Struct("<37d"), b"\x00\x00": struct.Struct(">37d")}
-
-
-def _decode_imu(data: bytes) -> _Imu:
-    """A sensor_msgs/Imu, ten times as fast as the general decoder: nearly all messages are these.
-
-    Raises:
-        struct.error, KeyError, UnicodeDecodeError or ValueError: The bytes are not such a message.
-    """
-    order = data[:2]
-    sec, nanosec, length = _HEADERS[order].unpack_from(data, _ENCAPSULATION)
-    text = _ENCAPSULATION + 12
-    body = _ENCAPSULATION + (12 + length + 7) // 8 * 8
-    if not body + _IMU_BODIES[order].size <= len(data) <= body + _IMU_BODIES[order].size + 3:
-        raise ValueError(f"{len(data)} bytes are not the size of the message")
-    v = _IMU_BODIES[order].unpack_from(data, body)
-    return _Imu(
-        _Header(_Time(sec, nanosec), data[text : text + max(length - 1, 0)].decode()),
-        _Quaternion(*v[:4]),
-        v[4:13],
-        _Vector3(*v[13:16]),
-        v[16:25],
-        _Vector3(*v[25:28]),
-        v[28:37],
-    )
 
 
 def decode(raw: Raw) -> Recorded:
@@ -210,9 +153,8 @@ def decode(raw: Raw) -> Recorded:
         BagError: The bytes are not a message of the type.
     """
     try:
-        if raw.type == IMU:
-            message: Any = _decode_imu(raw.data)
-        else:
+        message: Any = decode_imu(raw.data) if raw.type == IMU else None
+        if message is None:
             store = typestore_with(raw.type, raw.definition)
             message = store.deserialize_cdr(raw.data, raw.type)
     except BagError as error:  # it is not the message that is wrong
