@@ -33,7 +33,7 @@ from insdvl.navigation.parameters import SENSORS, FilterParameters
 from insdvl.navigation.prediction import predict
 from insdvl.navigation.prediction.kept import Kept
 from insdvl.navigation.process_noise import shown, source_of
-from insdvl.navigation.start import zero_velocity
+from insdvl.navigation.start import wrong_heading, zero_velocity
 from insdvl.navigation.start.initial_state import Start, locate, sample_variance_w
 from insdvl.navigation.state import (
     CORE,
@@ -168,6 +168,7 @@ class Filter:
     def _begin(self, s: State) -> None:
         """No measurement has borne the new state out yet, and nothing was learned from any."""
         map_to_odom.begin(s)
+        wrong_heading.watch(s)
         self.process_noise.restart(s)
         shown.restart(s)
         for gate in self._gates.values():
@@ -321,6 +322,8 @@ class Filter:
         if covers:
             bias = self.parameters.initial.gyroscope_bias_std**2
             error_state.take_earth_rate_from_bias(s, heading, bias)
+        if s["start"]["heading_watched"] and invariant and self.parameters.earth_rate:
+            self.start.doubt_heading(s)
         self._gates[event.name].accept(state, stamp_ns, now.H, K, left)
         if model.tells_velocity:
             judged_ns = s["gate"][event.name]["judged_ns"]

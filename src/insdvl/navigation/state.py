@@ -185,6 +185,8 @@ _START = (
     # What has become of it, and the number that led to it, see gyrocompass.py
     Field("compass", COUNT),
     Field("compass_number", NUMBER),
+    # Whether the heading may be half a turn off, see wrong_heading.py
+    Field("heading_watched", COUNT),
     # What the mode 'auto' has heard, see automatic.py: an attitude whose heading is known, one
     # sigma, its stamp and source; velocity of base_link in body axes; a position kept over a reset
     # and the speed then
@@ -235,6 +237,7 @@ _COUNTERS = (
     Field("without_origin", COUNT),
     Field("too_old", COUNT),  # initial states from long before the first sample
     Field("not_level", COUNT),  # levellings that were restarted
+    Field("wrong_headings", COUNT),  # found, and contradicted by the gyroscope
     Field("off_the_map", COUNT),  # initial states at no place that the filter could navigate at
     Field("beyond_latitude", COUNT),  # steps that ended at the largest latitude
     Field("odom_resets", COUNT),  # further starts, and steps of odom

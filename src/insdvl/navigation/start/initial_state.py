@@ -22,7 +22,7 @@ from insdvl.navigation.geometry.frames import rotation_from_rpy
 from insdvl.navigation.geometry.rotation import cross_matrix
 from insdvl.navigation.measurements.base import Block, Vehicle
 from insdvl.navigation.prediction import strapdown
-from insdvl.navigation.start import automatic, gyrocompass
+from insdvl.navigation.start import automatic, gyrocompass, wrong_heading
 from insdvl.navigation.start.automatic import Automatic
 from insdvl.navigation.start.parameters import InitialParameters, OriginParameters
 from insdvl.navigation.start.rest import Attitude
@@ -209,6 +209,13 @@ class Start:
         # What a channel has not shown before is in the initial state.
         imu["unseen_ns"], imu["equal_ns"] = NEVER, np.maximum(imu["equal_ns"], stamp_ns)
         return True
+
+    def doubt_heading(self, s: State) -> None:
+        """Restart a heading that was unknown and is contradicted, see wrong_heading.py."""
+        parameters, walk = self._parameters, float(self._vehicle.constants[0]["eps_w"])
+        variance = parameters.gyroscope_bias_std**2
+        if wrong_heading.is_contradicted(s, self._told_bias[3:], variance, walk):
+            wrong_heading.restart(s, self._vehicle, parameters, self._told_bias, self._blocks)
 
     def _correlate(self, P: Array) -> None:
         """The slow error of the sensor that has told the heading is in the heading."""
