@@ -28,6 +28,7 @@ from insdvl.navigation.geometry import earth
 from insdvl.navigation.geometry.frames import rotation_from_vector, vector_from_rotation
 from insdvl.navigation.geometry.rotation import (
     about_down,
+    copy_matrix,
     cross_matrix,
     exponential,
     orthonormalise,
@@ -60,7 +61,7 @@ def inject(s: State, c: Constants, dx: Array) -> None:
     if not c.invariant:
         exponential(turn, rotated, dx[_A], dx[_A + 1], dx[_A + 2])
         product(rotated, turn, nav.C_n_b)
-        nav.C_n_b[:] = rotated
+        copy_matrix(nav.C_n_b, rotated)
         orthonormalise(nav.C_n_b, rotated)
         for i in range(3):
             nav.v_n[i] += dx[_V + i]
