@@ -20,14 +20,15 @@ Derived in docs/explanation/error-state.md.
 """
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array
 from insdvl.kernels import kernel
 from insdvl.navigation.error_state import ATTITUDE, POSITION, VELOCITY, set_block
 from insdvl.navigation.geometry import earth
+from insdvl.navigation.geometry.frames import rotation_from_vector, vector_from_rotation
 from insdvl.navigation.geometry.rotation import (
     about_down,
+    copy_matrix,
     cross_matrix,
     exponential,
     orthonormalise,
@@ -60,7 +61,7 @@ def inject(s: State, c: Constants, dx: Array) -> None:
     if not c.invariant:
         exponential(turn, rotated, dx[_A], dx[_A + 1], dx[_A + 2])
         product(rotated, turn, nav.C_n_b)
-        nav.C_n_b[:] = rotated
+        copy_matrix(nav.C_n_b, rotated)
         orthonormalise(nav.C_n_b, rotated)
         for i in range(3):
             nav.v_n[i] += dx[_V + i]
@@ -157,14 +158,14 @@ def attitude_error(nav: State, C_n_b: Array, *, invariant: bool) -> Array:
     """
     turn = C_n_b @ np.swapaxes(nav["C_n_b"], -1, -2)
     if not invariant:
-        return Rotation.from_matrix(turn).as_rotvec()
+        return vector_from_rotation(turn)
     # The down row of R_h R_t is that of R_t, (-b, a, .) sin|t| / |t| for t = (a, b, 0).
     a, b = turn[..., 2, 1], -turn[..., 2, 0]
     sine = np.hypot(a, b)
     angle = np.arctan2(sine, turn[..., 2, 2])
     scale = np.where(sine > 0.0, angle / np.where(sine > 0.0, sine, 1.0), 1.0)
     tilt = np.stack([scale * a, scale * b, np.zeros_like(a)], axis=-1)
-    R_h = turn @ np.swapaxes(_rotations(tilt), -1, -2)
+    R_h = turn @ np.swapaxes(rotation_from_vector(tilt), -1, -2)
     return tilt + np.arctan2(R_h[..., 1, 0], R_h[..., 0, 0])[..., None] * _DOWN
 
 
@@ -207,13 +208,9 @@ def _turned_error(nav: State, C_n_b: Array, true: Array, estimate: Array) -> Arr
     """R_h^T a_true - R_t a of vectors (..., 3)."""
     psi = attitude_error(nav, C_n_b, invariant=True)
     heading = psi[..., 2:] * _DOWN
-    back = np.einsum("...ji,...j->...i", _rotations(heading), true)
-    return np.asarray(back - np.einsum("...ij,...j->...i", _rotations(psi - heading), estimate))
-
-
-def _rotations(psi: Array) -> Array:
-    """exp([psi x]) (..., 3, 3) of rotation vectors (..., 3)."""
-    return Rotation.from_rotvec(psi.reshape(-1, 3)).as_matrix().reshape(*psi.shape, 3)
+    back = np.einsum("...ji,...j->...i", rotation_from_vector(heading), true)
+    tilted = np.einsum("...ij,...j->...i", rotation_from_vector(psi - heading), estimate)
+    return np.asarray(back - tilted)
 
 
 def move_reference(s: State) -> None:

@@ -20,6 +20,8 @@ from insdvl.navigation.filter import LAYOUT, Filter
 from insdvl.navigation.geometry import earth, odom
 from insdvl.navigation.geometry.rotation import (
     about_down,
+    copy_matrix,
+    copy_vector,
     cross,
     product,
     product_transposed,
@@ -206,7 +208,7 @@ def _odometry(states: Records, k: int, constants: Records, out: Records) -> None
 
     # base_link's place, its position and the axes there against those of odom.
     rotate(x, C, c.l_b_imu)
-    o.place[:] = s.nav.llh
+    copy_vector(o.place, s.nav.llh)
     for i in range(3):
         y[i] = -x[i]
     earth.move(o.place, y)
@@ -243,7 +245,7 @@ def _odometry(states: Records, k: int, constants: Records, out: Records) -> None
     _congruence(o.local_covariance, J, s.nav.P, n)
     if c.invariant:
         _add_arc(o.local_covariance, x, of_sine, of_cosine)
-    o.place_covariance[:] = o.local_covariance[:3, :3]
+    copy_matrix(o.place_covariance, o.local_covariance)
     _congruence(o.pose_covariance, o.to_odom, o.local_covariance, 6)
     _see_in_odom(s, c, o)
 
@@ -304,9 +306,9 @@ def _see_in_odom(s: State, c: Constants, o: State) -> None:
     for i in range(4):
         moved = moved or m.P[i, i] > 0.0
     if not moved:
-        o.odom_position[:] = o.position
-        o.odom_quaternion_xyzw[:] = o.quaternion_xyzw
-        o.odom_covariance[:] = o.pose_covariance
+        copy_vector(o.odom_position, o.position)
+        copy_vector(o.odom_quaternion_xyzw, o.quaternion_xyzw)
+        copy_matrix(o.odom_covariance, o.pose_covariance)
         return
     A, M, N = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     to_odom, J, D = o.to_odom, o.J, np.zeros((6, 6))

@@ -11,10 +11,10 @@ from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.signal import lfilter
 
 from insdvl.arrays import Array
 from insdvl.files import read, shown
+from insdvl.kernels import kernel
 
 ACCELEROMETER_VARIANCE = 0.01  # (m/s^2)^2
 GYROSCOPE_VARIANCE = 0.001  # (rad/s)^2
@@ -161,8 +161,16 @@ def gauss_markov(std: Array, step: ArrayLike, size: int, rng: np.random.Generato
     decay = np.exp(-np.broadcast_to(step, std.shape))
     drive[:1] *= std
     drive[1:] *= std * np.sqrt(1.0 - decay**2)
-    columns = [lfilter([1.0], [1.0, -a], x) for a, x in zip(decay, drive.T, strict=True)]
-    return np.stack(columns, axis=1)
+    _remember(drive, decay)
+    return drive
+
+
+@kernel
+def _remember(x: Array, decay: Array) -> None:
+    """x[k] += decay x[k - 1] of all k in their order, in place; x is (N, M), decay (M,)."""
+    for k in range(1, x.shape[0]):
+        for i in range(x.shape[1]):
+            x[k, i] += decay[i] * x[k - 1, i]
 
 
 #: The scenarios of the evaluation.

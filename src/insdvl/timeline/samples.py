@@ -9,7 +9,7 @@ from insdvl.arrays import Array, Records, Stamps
 from insdvl.kernels import kernel
 from insdvl.navigation.channels import GOOD
 from insdvl.navigation.events import Imu
-from insdvl.navigation.geometry.rotation import rotate
+from insdvl.navigation.geometry.rotation import copy_vector, rotate
 from insdvl.navigation.prediction.kept import Kept
 
 #: How fast a vehicle's turn rate changes, one sigma [rad/s^2]: rolling by 6 deg in 5 s has 0.12.
@@ -64,7 +64,7 @@ def rate_at(
         s_1 += g * t
         s_2 += g * t * t
     if count < 2 or s_0 == 0.0:
-        rate[:] = w_ib_b[k]
+        copy_vector(rate, w_ib_b[k])
         share[:] = 1.0
         return
     of_sample = s_0 / count

@@ -16,7 +16,6 @@ The rules are derived in docs/explanation/filter.md.
 from typing import Any
 
 import numpy as np
-from scipy.special import expit, gammaincinv
 
 from insdvl.arrays import Array, Records
 from insdvl.navigation import kalman
@@ -24,6 +23,7 @@ from insdvl.navigation.channels import in_doubt
 from insdvl.navigation.error_state import VELOCITY
 from insdvl.navigation.events import NS
 from insdvl.navigation.gate import imu_step, ordinary
+from insdvl.navigation.gate.chi_square import exceeded
 from insdvl.navigation.gate.ordinary import LEAST_PATIENCE_NS, RETURNS
 from insdvl.navigation.gate.parameters import GateParameters
 from insdvl.navigation.kalman import Innovated
@@ -57,8 +57,8 @@ class Gate:
         #: By the number of rows that were measured.
         self._limits = np.full(model.rows + 1, np.inf)
         if parameters.enabled:
-            halves = np.arange(model.rows + 1) / 2.0
-            self._limits[:] = 2.0 * gammaincinv(halves, parameters.probability)
+            tail = 1.0 - parameters.probability
+            self._limits[1:] = [exceeded(m, tail) for m in range(1, model.rows + 1)]
         self._patience_ns = round(parameters.max_rejection_time * NS)
 
     def start(self, s: State) -> None:
@@ -211,7 +211,7 @@ class Gate:
         step = now.innovation - g["fault"][: self._model.rows]
         of_fault = step @ np.linalg.solve(S_step, step) + np.linalg.slogdet(S_step)[1]
         of_good = now.nis + np.linalg.slogdet(now.S)[1]
-        return float(expit((of_good - of_fault) / 2.0))
+        return float(np.exp(-np.logaddexp(0.0, (of_fault - of_good) / 2.0)))
 
     def _step_covariance(self, s: State, interval_ns: int, now: Innovated) -> Array:
         """Covariance (m, m) of the step between two innovations, nothing corrected in between.

@@ -10,6 +10,7 @@ from insdvl.kernels import kernel
 from insdvl.navigation import algebra
 from insdvl.navigation.channels import any_unseen
 from insdvl.navigation.events import NS
+from insdvl.navigation.geometry.rotation import copy_matrix
 from insdvl.navigation.process_noise import shown
 from insdvl.navigation.state import NEVER
 
@@ -84,7 +85,7 @@ def is_ordinary(
     """
     s, g = state[0], memory[0]
     doubted = is_doubted(g.doubt_from_ns, g.doubt_for, stamp_ns)
-    R[:] = own
+    copy_matrix(R, own)
     if doubted:
         for a in range(len(R)):
             R[a, a] += g.doubt**2

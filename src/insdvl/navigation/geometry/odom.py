@@ -19,7 +19,7 @@ from insdvl.navigation.geometry.earth import (
     radii,
     wrapped,
 )
-from insdvl.navigation.geometry.rotation import about_down
+from insdvl.navigation.geometry.rotation import about_down, copy_matrix
 
 #: Farthest horizontal distance [m] from the origin at which a place is found from its position in
 #: odom. The filter itself may go farther.
@@ -98,7 +98,7 @@ def convergence_slope(slope: Array, place: Array, origin: Array) -> None:
 @kernel
 def position_jacobian(J: Array, C_o_n: Array) -> None:
     """J (3, 3), p_o by metres north, east, down at the vehicle: rows x, y of `axes`, z alone."""
-    J[:] = C_o_n
+    copy_matrix(J, C_o_n)
     J[2, 0], J[2, 1], J[2, 2] = 0.0, 0.0, 1.0
 
 

@@ -10,6 +10,21 @@ _SMALL_ANGLE_SQUARED = 1e-4
 
 
 @kernel
+def copy_vector(out: Array, a: Array) -> None:
+    """out = a, of any length. An assignment of a slice compiles the texts of its errors too."""
+    for i in range(out.shape[0]):
+        out[i] = a[i]
+
+
+@kernel
+def copy_matrix(out: Array, A: Array) -> None:
+    """out = A, of any shape."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] = A[i, j]
+
+
+@kernel
 def skew(out: Array, a: Array) -> None:
     """out = [a x]."""
     out[0, 0] = 0.0

@@ -21,6 +21,7 @@ from insdvl.navigation.error_state import (
 from insdvl.navigation.events import MAX_SPEED, MAX_VARIANCE, NS, Limits, Measurement
 from insdvl.navigation.geometry.frames import rotation_from_rpy
 from insdvl.navigation.geometry.rotation import (
+    copy_matrix,
     cross,
     cross_matrix,
     exponential,
@@ -413,7 +414,7 @@ def _linearise(
     """Innovation, H and R of `DvlModel.linearise`; ``z_minus_h`` (3,) has z and becomes z - h."""
     s, optional = state[0], state[0].nav.optional
     C, h, arm = np.empty((3, 3)), np.empty(3), np.empty((3, 3))
-    C[:] = C_d_b
+    copy_matrix(C, C_d_b)
     J, M = np.empty((3, 3)), np.empty((3, 3))
     if mount_at != _NONE:
         # exp(-[m x]) turns by the mount that is estimated beside dvl.mount; J is its mean.

@@ -21,7 +21,7 @@ from insdvl.navigation import coordinates
 from insdvl.navigation.coordinates import attitude_error
 from insdvl.navigation.error_state import ATTITUDE, GYROSCOPE_BIAS, POSITION, VELOCITY
 from insdvl.navigation.events import MAX_VARIANCE, NS, Limits, Measurement
-from insdvl.navigation.geometry.frames import rotation_from_rpy
+from insdvl.navigation.geometry.frames import rotation_from_rpy, rotation_from_vector
 from insdvl.navigation.geometry.rotation import cross_matrix
 from insdvl.navigation.measurements import claims, noise
 from insdvl.navigation.measurements.base import (
@@ -33,7 +33,6 @@ from insdvl.navigation.measurements.base import (
     Turn,
     Vehicle,
 )
-from insdvl.navigation.start.automatic import turned
 from insdvl.navigation.state import State
 from insdvl.parameters.declaration import mount, parameter, time_offset
 
@@ -306,7 +305,9 @@ class HeadingModel(SensorModel[Heading]):
         to_body = np.linalg.inv(self._from_body(s))
         P = to_body @ nav["P"][:n, :n] @ to_body.T
         R_h = _about_down(psi[_DOWN])
-        turn = R_h @ turned(np.array([*psi[:_DOWN], 0.0])) if invariant else turned(psi)
+        turn = rotation_from_vector(np.array([*psi[:_DOWN], 0.0]) if invariant else psi)
+        if invariant:
+            turn = R_h @ turn
         nav["C_n_b"] = turn @ nav["C_n_b"]
         nav["v_n"] = turn @ nav["v_n"]
         T = np.eye(n)  # the tilt is known in the axes of the vehicle, which turn

@@ -12,7 +12,7 @@ from insdvl.arrays import Array, Records, Stamps
 from insdvl.kernels import kernel
 from insdvl.navigation import channels, error_state
 from insdvl.navigation.error_state import ACCELEROMETER_BIAS, POSITION
-from insdvl.navigation.geometry.rotation import rotate
+from insdvl.navigation.geometry.rotation import copy_matrix, rotate
 from insdvl.navigation.prediction import strapdown
 from insdvl.navigation.prediction.kept import keep
 from insdvl.navigation.state import CORE, NEVER, Constants, State, Workspace
@@ -44,8 +44,8 @@ def _advance(
         return
     dt = (to_ns - nav.time_ns) * 1e-9
     if noise.q_ns != NEVER and nav.time_ns - noise.q_ns > c.q_timeout_ns:
-        noise.Q_f[:] = c.Q_f_nominal
-        noise.Q_w[:] = c.Q_w_nominal
+        copy_matrix(noise.Q_f, c.Q_f_nominal)
+        copy_matrix(noise.Q_w, c.Q_w_nominal)
         noise.q_ns = NEVER
         s.counters.q_timeouts += 1
 

@@ -9,13 +9,13 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array
 from insdvl.navigation.events import NS, Imu, Initial
+from insdvl.navigation.gate.chi_square import exceeded
 from insdvl.navigation.geometry import odom
 from insdvl.navigation.geometry.earth import EARTH_RATE, gravity
-from insdvl.navigation.geometry.frames import rotation_from_rpy
+from insdvl.navigation.geometry.frames import rotation_from_rpy, rotation_from_vector
 from insdvl.navigation.start import gyrocompass, rest
 from insdvl.navigation.start.gyrocompass import Noise
 from insdvl.navigation.start.parameters import InitialParameters
@@ -53,11 +53,6 @@ class _Heading:
     source: int
     std: float
     C_n_b: Array | None = None
-
-
-def turned(rotvec: Array) -> Array:
-    """Rotation (3, 3) of a rotation vector (3,)."""
-    return np.asarray(Rotation.from_rotvec(rotvec).as_matrix())
 
 
 def levelled_jacobian(C_n_b: Array) -> Array:
@@ -143,7 +138,9 @@ class Automatic:
             start["told_std"] = np.hypot(start["told_std"], c["gap_w"] * seconds)
         else:
             w_ib_b = sample.w_ib_b + c["C_b_i"] @ s["channels"]["amends"][3:]
-            start["told_C"] = start["told_C"] @ turned((w_ib_b - self._bias[3:]) * seconds)
+            start["told_C"] = start["told_C"] @ rotation_from_vector(
+                (w_ib_b - self._bias[3:]) * seconds
+            )
         start["told_std"] += (self._parameters.gyroscope_bias_std + EARTH_RATE) * seconds
         start["told_ns"] = sample.stamp_ns
 
@@ -251,10 +248,10 @@ class Automatic:
             found = gyrocompass.at_rest(s, noise)
             C = found.C_n_b
             if moves:  # since the time at rest, for the length of a block
-                C = C @ turned((mean[3:] - found.mean[3:]) * seconds)
+                C = C @ rotation_from_vector((mean[3:] - found.mean[3:]) * seconds)
             return Attitude(C, b_w, found.covariance(noise))
         # The mean force is that of the middle of the block.
-        half = turned(mean[3:] * (seconds / 2.0)) if moves else np.eye(3)
+        half = rotation_from_vector(mean[3:] * (seconds / 2.0)) if moves else np.eye(3)
         if heading.source in (IMU, KEPT):
             C = _upright(heading.C_n_b @ half.T, mean[:3])
         else:
@@ -314,7 +311,7 @@ def _upright(C_n_b: Array, f_b: Array) -> Array:
     size = math.hypot(u[0], u[1])
     if size == 0.0:
         return C_n_b
-    return turned(axis / size * math.atan2(size, -u[2])) @ C_n_b
+    return rotation_from_vector(axis / size * math.atan2(size, -u[2])) @ C_n_b
 
 
 def _times_of_zero(v: Array, P: Array) -> float:
@@ -327,6 +324,4 @@ def _times_of_zero(v: Array, P: Array) -> float:
     if not measured.any():
         return 0.0
     squares = (axes.T @ v)[measured] ** 2 / variances[measured]
-    return float(squares.sum()) / gyrocompass.chi_square_limit(
-        int(measured.sum()), rest.FALSE_ALARM
-    )
+    return float(squares.sum()) / exceeded(int(measured.sum()), rest.FALSE_ALARM)

@@ -9,13 +9,12 @@ Derivation: docs/explanation/gyrocompassing.md.
 """
 
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
-from scipy.special import gammainccinv
 
 from insdvl.arrays import Array
 from insdvl.navigation.events import NS
+from insdvl.navigation.gate.chi_square import exceeded
 from insdvl.navigation.geometry.earth import earth_rate_n, gravity
 from insdvl.navigation.geometry.frames import rotation_from_rpy
 from insdvl.navigation.geometry.rotation import cross_matrix
@@ -219,8 +218,8 @@ def see_block(s: State, mean: Array, count: int, noise: Noise, plan: Plan, stamp
         nis = float(misfit @ np.linalg.solve(R, misfit))
         start["rest_nis"] += nis
         start["rest_blocks"] += 1
-        of_all = start["rest_nis"] / chi_square_limit(6 * int(start["rest_blocks"]), FALSE_ALARM)
-        times = max(nis / chi_square_limit(6, FALSE_ALARM), of_all)
+        of_all = start["rest_nis"] / exceeded(6 * int(start["rest_blocks"]), FALSE_ALARM)
+        times = max(nis / exceeded(6, FALSE_ALARM), of_all)
         if not times <= 1.0:
             start["compass"], start["compass_number"] = MOVES, times
             return
@@ -230,7 +229,7 @@ def see_block(s: State, mean: Array, count: int, noise: Noise, plan: Plan, stamp
         return
     rest = at_rest(s, noise)
     misfit = earth_misfit(rest.C_n_b, rest.mean[3:], rest.P, lat, h)
-    times = misfit / chi_square_limit(2, FALSE_ALARM)
+    times = misfit / exceeded(2, FALSE_ALARM)
     if not times <= 1.0:
         start["compass"], start["compass_number"] = NOT_THE_EARTH, times
         return
@@ -247,9 +246,3 @@ def at_rest(s: State, noise: Noise) -> Rest:
     P_b = noise.of_biases()
     P = noise.of_mean(count, count / noise.rate) + P_b
     return Rest(mean, P, C, J @ P @ J.T, J @ P_b)
-
-
-@cache
-def chi_square_limit(dof: int, tail: float) -> float:
-    """Chi-square of so many degrees of freedom that is exceeded with a probability."""
-    return 2.0 * float(gammainccinv(dof / 2.0, tail))

@@ -10,9 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from insdvl.arrays import Array
+from insdvl.navigation.gate.chi_square import exceeded
 from insdvl.navigation.geometry.earth import EARTH_RATE, earth_rate_n
 from insdvl.navigation.geometry.rotation import cross_matrix
-from insdvl.navigation.start.gyrocompass import Noise, chi_square_limit
+from insdvl.navigation.start.gyrocompass import Noise
 
 #: Probability that a vehicle at rest is taken for a moving one, by each of the four tests.
 FALSE_ALARM = 1e-3
@@ -106,11 +107,11 @@ def misfit_to_rest(window: Window, bias: Array, noise: Noise, g: float) -> Misfi
     along = force / size if size else np.zeros(3)
     of_size = float(along @ of_mean[:3, :3] @ along)
     motions = (
-        _square(step, R * (1.0 / early + 1.0 / late)) / chi_square_limit(6, FALSE_ALARM),
-        _square(rate, of_rate) / chi_square_limit(3, FALSE_ALARM),
-        (size - g) ** 2 / of_size / chi_square_limit(1, FALSE_ALARM) if of_size else np.inf,
+        _square(step, R * (1.0 / early + 1.0 / late)) / exceeded(6, FALSE_ALARM),
+        _square(rate, of_rate) / exceeded(3, FALSE_ALARM),
+        (size - g) ** 2 / of_size / exceeded(1, FALSE_ALARM) if of_size else np.inf,
     )
-    return Misfit(sum(squares) / chi_square_limit(6 * (n - 1), FALSE_ALARM), max(motions))
+    return Misfit(sum(squares) / exceeded(6 * (n - 1), FALSE_ALARM), max(motions))
 
 
 def _square(x: Array, P: Array) -> float:

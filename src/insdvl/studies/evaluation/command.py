@@ -17,7 +17,6 @@ from insdvl.studies.evaluation import comparison, tables
 from insdvl.studies.evaluation.approaches import OWN_MODEL, PRESETS, ROWS, Setting, fingerprint
 from insdvl.studies.evaluation.comparison import Plan, compare
 from insdvl.studies.evaluation.options import check_names, check_numbers
-from insdvl.studies.report.plots import draw_errors_over_time, format_of
 from insdvl.tuner.models import load_model
 
 EVALUATED = (*SCENARIOS, *DRAWN)
@@ -32,6 +31,8 @@ def run(arguments: argparse.Namespace) -> int:
             if file is not None:
                 check_writable(file, f"--{option}")
         if arguments.plot is not None:
+            from insdvl.studies.report.plots import draw_errors_over_time, format_of
+
             format_of(arguments.plot)
         with open_pool(workers_from(arguments)) as pool:
             store = Store(

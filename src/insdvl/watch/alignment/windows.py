@@ -11,7 +11,7 @@ import numpy as np
 from insdvl.arrays import Array, Stamps
 from insdvl.kernels import kernel
 from insdvl.navigation.events import NS
-from insdvl.navigation.geometry.rotation import exponential, product, rotate, skew
+from insdvl.navigation.geometry.rotation import copy_matrix, exponential, product, rotate, skew
 
 #: Columns of what `_integrate` gives at each ping, see `Window`.
 _R, _F, _PHI, _PSI, _XI, _OMEGA = (
@@ -70,7 +70,7 @@ def _integrate(t: Array, f: Array, w: Array, pings: Array, state: Array, out: Ar
             for a in range(3):
                 xi[a] += dt * w_start[a]
             product(turned, R, turn)
-            R[:] = turned
+            copy_matrix(R, turned)
             now = to
             if k < pings.size and pings[k] <= now:
                 out[k] = state
