@@ -18,6 +18,7 @@ from insdvl.messages import convert
 from insdvl.messages.topics import BY_NAME
 from insdvl.recordings.base import encode
 from insdvl.recordings.drivers import DEFINITIONS
+from insdvl.watch.table.layout import Size, line, table
 from ros_insdvl.conversions import message_class
 from ros_insdvl.filter import FilterNode
 from ros_insdvl.monitor import Monitor
@@ -143,16 +144,18 @@ def test_monitor(bench: Any) -> None:
         "ground_truth/odometry": convert.ODOMETRY,
         "/a/odometry/filtered": convert.ODOMETRY,
         "/b/odometry/filtered": convert.ODOMETRY,
+        "/a/imu/bias": convert.IMU,
         "process_noise": convert.IMU,
         "ground_truth/process_noise": convert.IMU,
     }
     rng = np.random.default_rng(4)
     for k, (topic, message) in enumerate(adverse(topics, COUNT)):
-        b.give(topic, message)
+        b.give(topic, serialize_message(message))
         if k % 5 == 0:
-            b.give("/diagnostics", diagnostics(rng))
+            b.give("/diagnostics", serialize_message(diagnostics(rng)))
         if k % 50 == 0:
-            assert b.tested.table() and b.tested.line()
+            shown = b.tested.shown()
+            assert table(shown, Size(80, 24)) and line(shown)
 
 
 def diagnostics(rng: np.random.Generator) -> DiagnosticArray:

@@ -238,13 +238,32 @@ class View:
                 )
 
 
-def show_sigmas(status: Status, sigma_f: Array, sigma_w: Array) -> None:
+#: Names of the sigmas of a process noise: of that in use, and of the nominal one.
+Q_IN_USE, NOMINAL_Q = "Q sigma", "Q nominal sigma"
+
+
+def sigma_keys(name: str) -> list[str]:
+    """The keys of the six sigmas of a process noise: of the specific force, of the angular rate."""
+    triads = (("f", "m/s^2"), ("w", "rad/s"))
+    return [f"{name} {triad}_{axis} [{unit}]" for triad, unit in triads for axis in "xyz"]
+
+
+def show_sigmas(status: Status, sigma_f: Array, sigma_w: Array, name: str = Q_IN_USE) -> None:
     """Show the per-sample noise of specific force (3,) [m/s^2] and angular rate (3,) [rad/s]."""
-    for axis, f, w in zip("xyz", sigma_f, sigma_w, strict=True):
-        status.values[f"Q sigma f_{axis} [m/s^2]"] = f"{f:.6g}"
-        status.values[f"Q sigma w_{axis} [rad/s]"] = f"{w:.6g}"
+    for key, sigma in zip(sigma_keys(name), (*sigma_f, *sigma_w), strict=True):
+        status.values[key] = f"{sigma:.6g}"
 
 
 def nis_key(measurement: str) -> str:
     """How the key of a measurement's mean NIS begins; the number of measurements follows."""
     return f"NIS {measurement}, mean of "
+
+
+def updates_key(label: str, outcome: str) -> str:
+    """The key of how many measurements of a sensor were ``accepted`` or ``rejected``."""
+    return f"{label} updates {outcome}"
+
+
+def age_key(label: str) -> str:
+    """The key of the time since a sensor's last measurement that was used, by the stamps."""
+    return f"{label} age [s]"

@@ -45,12 +45,14 @@ class Report:
         at: When, on the monotonic clock [s].
         count: How often it has reported.
         statuses: Its statuses, by cause.
+        of_cause: The values of each of them.
         values: The values of all of them.
     """
 
     at: float = 0.0
     count: int = 0
     statuses: dict[str, HeardStatus] = field(default_factory=dict)
+    of_cause: dict[str, dict[str, str]] = field(default_factory=dict)
     values: dict[str, str] = field(default_factory=dict)
 
 
@@ -85,7 +87,10 @@ class HeardDiagnostics:
                 if report.statuses.get(cause) != status
             )
             report.at, report.count, report.statuses = now, report.count + 1, heard
-            report.values = {v.key: v.value for s in statuses.values() for v in s.values}
+            report.of_cause = {
+                cause: {v.key: v.value for v in status.values} for cause, status in statuses.items()
+            }
+            report.values = {k: v for values in report.of_cause.values() for k, v in values.items()}
 
     def count(self, node: str, key: str) -> int:
         """A count among the values of a node's last report, 0 without one."""

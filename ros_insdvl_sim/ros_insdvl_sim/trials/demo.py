@@ -65,20 +65,19 @@ def choose_rate_factor() -> float:
     return max(round(factor, 1), 0.5)
 
 
-def print_second_terminal(variables: Mapping[str, str]) -> None:
-    """Print how to look at the running graph."""
+def second_terminal(variables: Mapping[str, str]) -> tuple[str, ...]:
+    """How to look at the running graph, in lines."""
     exports = " ".join(f"{name}={value}" for name, value in variables.items())
     monitor = Path(get_package_prefix("ros_insdvl")) / "lib/ros_insdvl/monitor"
-    print(
-        "In a second terminal, with a full ROS 2 Jazzy:\n"
-        f"  export {exports}\n"
-        "  ros2 topic echo /learned/odometry/filtered --field pose.pose.position\n"
-        "  ros2 topic echo /process_noise --field linear_acceleration_covariance\n"
-        "  ros2 topic echo /diagnostics\n"
-        "or, with the packages installed here:\n"
+    return (
+        "In a second terminal, with a full ROS 2 Jazzy:",
+        f"  export {exports}",
+        "  ros2 topic echo /learned/odometry/filtered --field pose.pose.position",
+        "  ros2 topic echo /process_noise --field linear_acceleration_covariance",
+        "  ros2 topic echo /diagnostics",
+        "or, with the packages installed here:",
         f"  {exports} AMENT_PREFIX_PATH={os.environ['AMENT_PREFIX_PATH']} {monitor} "
-        "--ros-args -p 'filters:=[/constant, /learned]'\n",
-        flush=True,
+        "--ros-args -p 'filters:=[/constant, /learned]'",
     )
 
 
@@ -107,11 +106,13 @@ def fly_demo(options: argparse.Namespace) -> int:
         f"{duration:g} s of mission, scenario {options.scenario}, seed {options.seed}, "
         f"at {rate_factor:g} times real time; gate off, as in the evaluation"
     )
-    print_second_terminal(variables)
+    how_to_look = second_terminal(variables)
+    print(*how_to_look, "", sep="\n", flush=True)
 
     with closing(Witness("demo")) as witness:
         with Processes(logs) as processes, recording(options.record) as writer:
             listener = Listener(witness, writer)
+            listener.monitor.notes = how_to_look
             start_consumers(processes, out, initial_parameters(options.seed))
             wait_until_ready(processes, witness)
             start_simulator(

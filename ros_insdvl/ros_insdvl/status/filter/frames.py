@@ -8,6 +8,8 @@ from ros_insdvl.status.diagnostics import ERROR, RECENT, WARN, Status, View
 from ros_insdvl.status.filter.base import Cause
 from ros_insdvl.status.reasons import OF_FRAMES
 
+CONVENTION = "frame_convention"
+
 
 class Frames(Cause):
     """The axes of the sensors."""
@@ -33,6 +35,7 @@ class Frames(Cause):
     def status(self, view: View) -> Status:
         """Refusals, findings and changes."""
         status = Status("frames", "no contradictions")
+        status.values[CONVENTION] = self._parameters.frame_convention
         view.report_refused(status, [*view.silence], OF_FRAMES)
         for finding in self._check.findings():
             status.complain(ERROR, "axes", finding)

@@ -12,7 +12,16 @@ from insdvl.timeline.fold import Fold
 from insdvl.timeline.output import AppliedUpdate
 from insdvl.watch.consistency import nis_median, scaled_nis
 from insdvl.watch.state_summary import summary
-from ros_insdvl.status.diagnostics import ERROR, RECENT, WARN, Status, View, nis_key
+from ros_insdvl.status.diagnostics import (
+    ERROR,
+    RECENT,
+    WARN,
+    Status,
+    View,
+    age_key,
+    nis_key,
+    updates_key,
+)
 from ros_insdvl.status.filter.base import Cause, Published
 
 #: Stamps without an accepted measurement for longer than this are worth a warning; for longer than
@@ -89,7 +98,7 @@ class MeasurementCause(Cause):
                 )
         view.show(status, *self._topics)
         for name in ("accepted", "rejected"):
-            status.values[f"{self._label} updates {name}"] = self._updates[name]
+            status.values[updates_key(self._label, name)] = self._updates[name]
         for axis, count in sorted(self._not_measured.items()):
             status.values[f"{self._label} updates without {axis}"] = count
         for refused, count in view.rejected.total.items():
@@ -106,6 +115,8 @@ class MeasurementCause(Cause):
             return
         times = summary(state)
         accepted_ns = times.accepted_ns[self._name]
+        if accepted_ns is not None:
+            status.values[age_key(self._label)] = f"{(times.time_ns - accepted_ns) / NS:.2f}"
         outage_ns = times.time_ns - (first_ns if accepted_ns is None else accepted_ns)
         if outage_ns <= OUTAGE_NS:
             return

@@ -1,11 +1,13 @@
 """The cause `process noise`: the Q in use, its age, and limits that were applied to it."""
 
+import numpy as np
+
 from insdvl.messages.topics import IMU, Q_TOPICS
 from insdvl.navigation.events import NS
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.timeline.fold import Fold
 from insdvl.watch.state_summary import StateSummary, summary
-from ros_insdvl.status.diagnostics import RECENT, WARN, Status, View, show_sigmas
+from ros_insdvl.status.diagnostics import NOMINAL_Q, RECENT, WARN, Status, View, show_sigmas
 from ros_insdvl.status.filter.base import Cause
 
 
@@ -17,6 +19,11 @@ class ProcessNoise(Cause):
         self._timeout = parameters.q_timeout
         self._topic = Q_TOPICS.get(self._source)
         self._fold = fold
+        noise = parameters.process_noise
+        self._nominal = (
+            np.sqrt(noise.accelerometer_variance),
+            np.sqrt(noise.gyroscope_variance),
+        )
 
     def status(self, view: View) -> Status:
         """Values, age, refusals and limits."""
@@ -25,6 +32,7 @@ class ProcessNoise(Cause):
         if state is not None:
             noise = summary(state)
             show_sigmas(status, noise.sigma_f, noise.sigma_w)
+            show_sigmas(status, *self._nominal, NOMINAL_Q)
             if self._topic is not None or self._source == "message":
                 self._report_age(status, noise)
         if self._topic is not None:

@@ -1,0 +1,216 @@
+"""The monitor's table: digits, rows, words, findings, and that it fits into the terminal."""
+
+import os
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+from shown import POSE, SHOWN
+from terminal import Emulator, Terminal
+
+from insdvl.watch.consistency import nis_interval
+from insdvl.watch.table.digits import cells, clipped, number, printable, with_sigma
+from insdvl.watch.table.layout import Size, line, table
+from insdvl.watch.table.numbers import (
+    ERROR,
+    WARN,
+    Finding,
+    Pose,
+    Shown,
+    Triads,
+    VelocityError,
+)
+from insdvl.watch.table.rows import bar
+
+SILENT_NOW = Shown("/other", "/other/insdvl_filter")
+WIDE, NARROW = Size(120, 60), Size(80, 60)
+
+
+def row(label: str, *filters: Shown, size: Size = WIDE) -> str:
+    (found,) = [one.text for one in table(filters, size) if one.text.startswith(label)]
+    return " ".join(found.removeprefix(label).split())
+
+
+@pytest.mark.parametrize(
+    ("value", "sigma", "text"),
+    [
+        (123.456, 1.23, "123.5 ± 1.2"),
+        (12.3456, 0.052, "12.346 ± 0.052"),
+        (-0.004, 0.096, "-0.004 ± 0.096"),
+        (1234.5, 250.0, "1234 ± 250"),
+        (1.23456, 0.0, "1.23"),
+        (1.23456, np.nan, "1.23"),
+        (np.nan, 0.1, "- ± 0.10"),
+        (12_345_678.0, np.inf, "1.23e+07"),
+        (123_456.0, np.inf, "123456"),
+    ],
+)
+def test_a_value_has_the_digits_that_its_sigma_leaves(
+    value: float, sigma: float, text: str
+) -> None:
+    assert with_sigma([value], [sigma]) == text
+
+
+def test_of_several_values_the_largest_sigma_counts() -> None:
+    assert with_sigma([1.5, 0.02], [0.021, 0.3]) == "1.50 0.02 ± 0.30"
+    assert number(np.inf) == "-"
+
+
+def test_a_text_is_cut_to_its_cells() -> None:
+    assert clipped("abcdef", 6) == "abcdef"
+    assert clipped("abcdefg", 6) == "abcde…"
+    assert cells("海ö") == 3
+    assert cells(clipped("海海海海", 6)) <= 6
+    assert printable("a\x1b[2Jb\n") == "a?[2Jb?"
+
+
+def test_the_state_comes_first() -> None:
+    lines = [one.text for one in table([SHOWN], WIDE)]
+    assert lines[0] == "insdvl monitor, stamp 1234.6 s"
+    assert "/learned" in lines[1]
+    first = [text.split("  ")[0] for text in lines[2:9]]
+    assert first == [
+        "state",
+        "north [m]",
+        "east [m]",
+        "depth [m]",
+        "heading [deg]",
+        "speed [m/s]",
+        "v x y z [m/s]",
+    ]
+    assert row("depth [m]", SHOWN) == "12.346 ± 0.052"
+    assert row("heading [deg]", SHOWN) == "271.9 ± 1.4"
+    assert row("speed [m/s]", SHOWN) == "1.500 ± 0.021"
+    assert row("state", SHOWN) == "navigates, all well"
+
+
+def test_what_the_rows_say() -> None:
+    assert row("DVL", SHOWN) == "0.42 s ago, 99.5 % of 400 used (gate 1, no_lock 1)"
+    assert row("depth sensor", SHOWN) == "0.1 s ago, 100.0 % of 4000 used"
+    assert row("gate", SHOWN) == "1 refused, 2 inflations, 0 restarts"
+    assert row("noise f [m/s^2]", SHOWN) == "0.012 0.011 0.013 = 1.2 1.1 1.3 x nominal"
+    assert row("bias f [mm/s^2]", SHOWN) == "1.20 -0.30 0.00 ± 0.80"
+    assert row("bias w [deg/h]", SHOWN) == "0.21 0.41 -0.21 ± 0.10"
+    assert row("process noise", SHOWN) == "external, 0.5 s old"
+    assert row("rates [Hz]", SHOWN) == "IMU 100, odometry 100"
+
+
+@pytest.mark.parametrize(
+    ("nis", "said"),
+    [(2.95, "as expected"), (4.5, "overconfident"), (1.5, "too cautious"), (None, "no DVL")],
+)
+def test_without_a_truth_the_innovations_speak(nis: float | None, said: str) -> None:
+    assert said in row("fit", replace(SHOWN, nis=nis))
+    assert not [one for one in table([SHOWN], WIDE) if one.text.startswith("truth")]
+    error = VelocityError(now=0.123, rms=0.11, three_sigma=0.3)
+    assert row("truth [m/s]", replace(SHOWN, error=error)) == "0.123 off, RMS 0.11, 3 sigma 0.3"
+
+
+@pytest.mark.parametrize("count", [1, 100])
+def test_the_interval_of_the_nis_is_that_of_chi_square(count: int) -> None:
+    expected = chi2.ppf([0.05, 0.95], 3 * count) / count
+    assert nis_interval(3, count, 0.9) == pytest.approx(tuple(expected), rel=1e-9)
+
+
+def test_the_bar_marks_the_nis_inside_and_outside() -> None:
+    inside, outside, beyond = bar(3.0, 2.6, 3.4), bar(5.0, 2.6, 3.4), bar(1e6, 2.6, 3.4)
+    assert len(inside) == len(outside) == 27
+    assert inside[13] == "#" and inside[11:16] == "==#=="
+    assert outside[21] == "!" and outside[11:16] == "====="
+    assert beyond.endswith("!]")
+
+
+def test_what_is_waited_for_is_said() -> None:
+    lines = [one.text for one in table([SILENT_NOW], NARROW)]
+    assert any(text.startswith("waits for /other/insdvl_filter: start it") for text in lines)
+    assert row("state", SILENT_NOW) == "not heard of yet"
+    assert "stamp none, no odometry yet" in line([SILENT_NOW])
+    ended = table([replace(SHOWN, silent=7.0)], NARROW)
+    assert ("/learned ERROR no diagnostics for 7 s, it may have ended", ERROR) in ended
+
+
+def test_findings_have_lines_of_their_own() -> None:
+    text = "dvl: no DVL measurement used for 7 s: " + "none is received, check the driver; " * 5
+    found = replace(SHOWN, findings=(Finding(ERROR, text), Finding(WARN, "imu: gaps")))
+    lines = table([found], NARROW)
+    errors = [one.text for one in lines if one.level == ERROR]
+    assert errors[0].startswith("/learned ERROR dvl: no DVL measurement")
+    assert len(errors) > 2 and " ".join(" ".join(errors).split()).endswith("check the driver;")
+    assert lines[-1] == ("/learned WARN imu: gaps", WARN)
+
+
+@pytest.mark.parametrize("columns", [80, 100, 120, 200])
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_it_fits_into_the_terminal(columns: int, count: int) -> None:
+    findings = tuple(Finding(WARN, "海" * 100 + "\x1b[2J" + "x" * 300) for _ in range(9))
+    filters = [replace(SHOWN, findings=findings)] * count
+    for rows in (24, 100):
+        lines = table(filters, Size(columns, rows))
+        assert len(lines) <= rows
+        assert max(cells(one.text) for one in lines) <= columns
+        assert not any("\x1b" in one.text for one in lines)
+    if count == 1:
+        assert "more lines" in table(filters, Size(columns, 30))[-1].text
+
+
+def test_filters_stand_side_by_side_where_there_is_room() -> None:
+    both = [SHOWN, SILENT_NOW]
+    assert row("depth [m]", *both, size=NARROW) == "12.346 ± 0.052 -"
+    assert len([1 for one in table([SHOWN] * 3, NARROW) if one.text.startswith("depth [m]")]) == 2
+    assert len([1 for one in table([SHOWN] * 3, WIDE) if one.text.startswith("depth [m]")]) == 1
+
+
+def test_nothing_that_a_node_reports_breaks_the_table() -> None:
+    odd = Pose(np.nan, *(np.full(3, np.nan) for _ in range(6)))
+    strange = replace(SHOWN, pose=odd, nis=1e300, bias_sigma=Triads(*np.full((2, 3), np.nan)))
+    assert table([strange], NARROW) and line([strange])
+    at_rest = replace(POSE, velocity=np.zeros(3))
+    assert row("speed [m/s]", replace(SHOWN, pose=at_rest)) == "0.000 ± 0.021"
+
+
+DRAW = """
+import sys
+from dataclasses import replace
+from shown import SHOWN
+from insdvl.watch.table.layout import table
+from insdvl.watch.table.numbers import Finding
+from insdvl.watch.table.terminal import Screen, is_screen
+
+assert is_screen(sys.stdout)
+screen = Screen(sys.stdout)
+long = replace(SHOWN, findings=(Finding(2, "x" * 1000),))
+print("before")
+for shown in ([long], [SHOWN], [SHOWN, SHOWN], [SHOWN]):
+    screen.draw(table(shown, screen.size))
+sys.stdin.readline()
+screen.close()
+print("after")
+"""
+
+
+@pytest.mark.parametrize(("columns", "rows"), [(80, 24), (120, 60)])
+def test_a_terminal_shows_the_table_and_is_given_back(columns: int, rows: int) -> None:
+    """What was drawn before, longer or wider, is gone; nothing scrolls."""
+    paths = {"PYTHONPATH": os.pathsep.join(sys.path)}
+    terminal = Terminal([sys.executable, "-c", DRAW], columns, rows, paths)
+    try:
+        expected = [one.text.rstrip() for one in table([SHOWN], Size(columns, rows))]
+        expected += [""] * (rows - len(expected))
+        terminal.until(lambda screen: screen.alternate and screen.lines == expected)
+        assert terminal.screen.scrolled == 0 and not terminal.screen.cursor_shown
+        terminal.type("\n")
+        assert terminal.end() == 0
+    finally:
+        terminal.close()
+    screen = terminal.screen
+    assert not screen.alternate and screen.cursor_shown
+    assert [text for text in screen.lines if text] == ["before", "after"]
+
+
+def test_the_emulator_wraps_and_scrolls() -> None:
+    """A line that is too long would be seen by the test above."""
+    screen = Emulator(4, 2)
+    screen.feed("abcdef\r\ngh")
+    assert screen.lines == ["ef", "gh"] and screen.scrolled == 1
