@@ -101,8 +101,9 @@ def test_discovery_profile_is_installed() -> None:
     assert (share / "config" / "fastdds_localhost.xml").is_file()
 
 
-def test_readme_commands_exist() -> None:
-    readme = (ROOT / "README.md").read_text()
-    commands = re.findall(r"(?:ros2 run |\.venv/lib/)(\w+)[ /](\w+)", readme)
+def test_commands_of_the_nodes_exist() -> None:
+    pages = (ROOT / "README.md", ROOT / "docs" / "how-to" / "nodes.md")
+    text = "".join(page.read_text() for page in pages)
+    commands = re.findall(r"(?:ros2 run |\.venv/lib/)(\w+)[ /](\w+)", text)
     assert {package for package, _ in commands} == EXECUTABLES.keys()
     assert [command for command in commands if command[1] not in EXECUTABLES[command[0]]] == []

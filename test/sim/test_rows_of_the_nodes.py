@@ -1,4 +1,4 @@
-"""The first rows of the README, flown as printed: a newcomer's filter heads the right way."""
+"""The first rows of the table of nodes, flown as printed: a newcomer's filter heads the right way."""
 
 import math
 import re
@@ -15,15 +15,15 @@ from graphs import Graph
 from nav_msgs.msg import Odometry
 from ros_messages import stamp_of
 
-README = Path(__file__).parents[2] / "README.md"
+PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "nodes.md"
 ROWS = ("simulator", "tuner", "filter")
 SAMPLES = 400  # 4 s at 100 Hz: as printed, the simulator flies in real time
 DEADLINE = 300.0  # s; only a hang takes as long, even where kernels are compiled first
 
 
 def commands(row: str) -> list[str]:
-    """The commands in a row of the README's table: with a full Jazzy, and with the wheels alone."""
-    (line,) = re.findall(rf"^\| {row} \|(.*)\|$", README.read_text(), re.MULTILINE)
+    """The commands in a row of the table: with a full Jazzy, and with the wheels alone."""
+    (line,) = re.findall(rf"^\| {row} \|(.*)\|$", PAGE.read_text(), re.MULTILINE)
     return re.findall(r"`([^`]+)`", line)
 
 
@@ -33,7 +33,7 @@ def heading(odometry: Odometry) -> float:
 
 
 class Terminals(Graph):
-    """The processes that a reader of the README starts, and what they publish."""
+    """The processes that a reader of the page starts, and what they publish."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__()
