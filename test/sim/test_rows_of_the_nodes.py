@@ -1,4 +1,4 @@
-"""The first rows of the table of nodes, flown as printed: a newcomer's filter heads the right way."""
+"""The first rows of the table of nodes, flown as printed: a newcomer's filter heads right."""
 
 import math
 import re
