@@ -59,6 +59,16 @@ def _about(name: str, meaning: str, **more: str) -> Command:
     return Command(arguments, f"insdvl.studies.about.{name}:run", meaning, **more)
 
 
+def _exchange(arguments: str, name: str, meaning: str, **more: str) -> Command:
+    """A command that reads or writes text files."""
+    return Command(
+        f"insdvl.studies.arguments.exchange:{arguments}",
+        f"insdvl.studies.exchange.{name}:run",
+        meaning,
+        **more,
+    )
+
+
 _COMPUTES = {"failed": "a computation failed", "kept": "finished parts are kept, run it again"}
 
 #: In the order of a first day.
@@ -91,6 +101,14 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
             goal="look at it again",
             example="run1 run2 -o both.html",
         ),
+        "import": _exchange(
+            "import_",
+            "importing",
+            "make a recording of text files of an IMU, a DVL and a reference",
+            goal="take text files",
+            example="imu.csv dvl.csv --map map.yaml --out dive",
+        ),
+        "export": _exchange("export", "exporting", "write a topic of a recording as CSV or TUM"),
         "train": _study(
             "training",
             "train a process noise model on simulations",
@@ -111,7 +129,7 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
             "recompute the page on consistency: is the filter as good as it says?",
             **_COMPUTES,
         ),
-        "models": _about("models", "list the shipped models", goal="which models exist?"),
+        "models": _about("models", "list the shipped models"),
         "params": _about(
             "params", "explain parameters", goal="explain a parameter", example="lever_arm"
         ),
@@ -215,7 +233,7 @@ def overview() -> str:
         [
             "insdvl navigates by IMU and DVL: from a recording, here 'dive', to a track.",
             *lines,
-            f"  {'further commands':23} {others}",
+            f"  also: {others}",
             "insdvl COMMAND --help has the options; insdvl --help lists all commands.",
         ]
     )

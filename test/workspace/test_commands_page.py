@@ -16,6 +16,14 @@ PAGE = (ROOT / "docs" / "reference" / "commands.md").read_text()
 #: These compile everything or fly hundreds of missions: their calls are parsed, and tests of their
 #: own run them.
 LONG = {"warm", "train", "evaluate", "results", "consistency"}
+#: Of what `insdvl export` writes.
+MAP = """
+imu:
+  stamp: stamp
+  specific_force: [specific_force_x, specific_force_y, specific_force_z]
+  angular_rate: [angular_rate_x, angular_rate_y, angular_rate_z]
+dvl: {stamp: stamp, velocity: [velocity_x, velocity_y, velocity_z]}
+"""
 
 
 def calls() -> list[list[str]]:
@@ -35,10 +43,11 @@ def test_every_call_on_the_page_works(tmp_path: Path, monkeypatch: pytest.Monkey
     save(tmp_path / "dive", raws_of(flown(12.0)))
     assert main(["init", "dive", "-o", "vehicle.yaml"]) == 0
     (tmp_path / "further.yaml").write_text("/**: {ros__parameters: {dvl.max_speed: 5.0}}\n")
+    (tmp_path / "map.yaml").write_text(MAP)
     for words in calls():
         if words[0] in LONG:
             parser_of(words[0]).parse_args(words[1:])
         else:
             assert main(words) == 0, words
     made = {path.name for path in tmp_path.iterdir()}
-    assert made >= {"my.yaml", "check.json", "numbers.json", "run1"}
+    assert made >= {"my.yaml", "check.json", "numbers.json", "run1", "track.tum", "imported"}

@@ -1,0 +1,1 @@
+"""Text files in and out of recordings: `insdvl import` and `insdvl export`."""
