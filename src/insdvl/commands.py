@@ -106,7 +106,7 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
             "importing",
             "make a recording of text files of an IMU, a DVL and a reference",
             goal="take text files",
-            example="imu.csv dvl.csv --map map.yaml --out dive",
+            example="imu.csv dvl.csv --map m.yaml --out dive",
         ),
         "export": _exchange("export", "exporting", "write a topic of a recording as CSV or TUM"),
         "train": _study(
