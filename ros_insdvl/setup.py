@@ -6,6 +6,7 @@ from setuptools import find_packages, setup
 
 NAME = "ros_insdvl"
 CONFIG = [str(path) for path in sorted(Path("config").glob("*"))]
+LAYOUTS = [str(path) for path in sorted(Path("layouts").glob("*"))]
 LAUNCH = [str(path) for path in sorted(Path("launch").glob("*.launch.py"))]
 
 setup(
@@ -21,6 +22,7 @@ setup(
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/config", CONFIG),
         (f"share/{NAME}/launch", LAUNCH),
+        (f"share/{NAME}/layouts", LAYOUTS),
     ],
     install_requires=["numpy"],
     extras_require={"test": ["pytest"]},

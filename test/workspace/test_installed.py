@@ -92,7 +92,7 @@ def test_models_are_installed(installed: Installed) -> None:
 def test_data_files_are_installed(package: str) -> None:
     share = Path(get_package_share_directory(package))
     assert contents(share, "*.xml") == contents(SOURCES[package], "*.xml")
-    for folder in ("config", "launch"):
+    for folder in ("config", "launch", "layouts"):
         assert contents(share / folder) == contents(SOURCES[package] / folder)
 
 

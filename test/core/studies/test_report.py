@@ -315,10 +315,12 @@ def test_one_page_of_paper_has_the_format_of_its_option(
     out: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     given = ["report", str(out), "-o", str(tmp_path / "page.html")]
-    pictures = ["--png", str(tmp_path / "page.png"), "--pdf", str(tmp_path / "page.pdf")]
+    names = ("png", "pdf", "svg")
+    pictures = [word for n in names for word in (f"--{n}", str(tmp_path / f"page.{n}"))]
     assert cli.main([*given, *pictures]) == 0
     assert (tmp_path / "page.png").read_bytes().startswith(b"\x89PNG")
     assert (tmp_path / "page.pdf").read_bytes().startswith(b"%PDF")
+    assert b"<svg" in (tmp_path / "page.svg").read_bytes()
     assert cli.main([*given, "--png", str(tmp_path / "page.pdf")]) == 2
     assert "the name must end in .png" in capsys.readouterr().err
 

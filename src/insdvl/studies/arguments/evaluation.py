@@ -107,6 +107,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--plot",
         type=Path,
         metavar="FILE",
-        help="PNG output file of errors over time",
+        help="output file of errors over time: .png, .pdf or .svg",
     )
     add_worker_options(parser)

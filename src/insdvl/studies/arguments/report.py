@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the page (default: report.html in the folder; of two, comparison.html in the working "
         "directory)",
     )
-    for suffix in ("png", "pdf"):
+    for suffix in ("png", "pdf", "svg"):
         parser.add_argument(
             f"--{suffix}",
             type=Path,

@@ -29,7 +29,7 @@ def _report(arguments: argparse.Namespace) -> list[Path]:
     output: Path | None = arguments.output
     if output is None:
         output = folders[0] / REPORT if len(folders) == 1 else Path("comparison.html")
-    pictures = {"--png": arguments.png, "--pdf": arguments.pdf}
+    pictures = {f"--{name}": getattr(arguments, name) for name in ("png", "pdf", "svg")}
     results = [read_result(folder) for folder in folders]
     for option, path in {"--output": output, **pictures}.items():
         if path is not None:

@@ -69,7 +69,7 @@ def draw_mission(
     """Draw the track, the body velocity errors with 3 sigma, and the process noise.
 
     Args:
-        path: The PNG file.
+        path: The file; its suffix is png, pdf or svg.
         title: Title of the plot.
         t: (N,) time from the start [s].
         truth: (N,) the truth.
