@@ -48,3 +48,5 @@ A recording is navigated in five lines::
 The result is the odometry at the last sample; ``take()`` returns that of every sample, and each
 measurement with its innovation. docs/explanation/architecture.md follows a message on its way.
 """
+
+__version__ = "0.1.0"

@@ -3,9 +3,9 @@
 import os
 import sys
 from collections.abc import Sequence
-from importlib.metadata import version
 from pkgutil import resolve_name
 
+from insdvl import __version__
 from insdvl.commands import (
     COMMANDS,
     INTERRUPTED,
@@ -26,7 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     elif name in ("-h", "--help"):
         print(summary())
     elif name == "--version":
-        print(f"insdvl {version('insdvl')}")
+        print(f"insdvl {__version__}")
     elif name not in COMMANDS:
         what = "option" if name.startswith("-") else "command"
         print(

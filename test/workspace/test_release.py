@@ -15,6 +15,7 @@ from test_dependencies import setup_argument
 from test_installed import EXECUTABLES
 from test_repository import texts
 
+import insdvl
 from insdvl.cli import COMMANDS
 
 PAGE = ROOT / "docs" / "how-to" / "aboard.md"
@@ -51,6 +52,8 @@ def test_a_changelog_is_one_that_release_tools_read(package: str) -> None:
 def test_both_manifests_say_the_same(package: str) -> None:
     assert text_of(package, "name") == package
     assert text_of(package, "version") == setup_argument(package, "version")
+    if package == "insdvl":
+        assert text_of(package, "version") == insdvl.__version__
     assert text_of(package, "license") == setup_argument(package, "license") == "Apache-2.0"
     assert text_of(package, "maintainer") == setup_argument(package, "maintainer")
 
