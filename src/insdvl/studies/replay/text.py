@@ -26,7 +26,10 @@ _ALWAYS = (
 
 
 def table_of(document: dict[str, Any]) -> str:
-    """The table of the command's JSON document; errors only where there is a reference."""
+    """The table of the command's JSON document; errors only where there is a reference.
+
+    What the verdict says is left to it.
+    """
     lines = [f"{'recording':32} {document['bag']}, {document['duration']:.5g} s"]
     lines.append(f"{'configuration':32} {document['configuration']}")
     has_reference = document["reference_stamps"] >= 2
@@ -42,17 +45,25 @@ def table_of(document: dict[str, Any]) -> str:
         lines.append(f"{'time jumps':32} {jumps}; errors are those after the last one")
     if document["start"]:
         lines.append(f"start: {document['start']}")
-    lines += [f"finding: {finding}" for finding in document["findings"]]
+    further = [finding for finding in document["findings"] if not _told(finding, document)]
+    lines += [f"finding: {finding}" for finding in further]
     lines += [f"{'not used: ' + key:32} {count}" for key, count in document["rejected"].items()]
-    lines += [f"frames: {finding}" for finding in document["frames"]]
     return "\n".join(lines)
 
 
+def _told(finding: str, document: dict[str, Any]) -> bool:
+    """Whether the verdict has what a finding of the filter begins with."""
+    what = finding.partition(" (")[0].partition(":")[0]
+    return any(x["text"].startswith(what) for x in document["verdict"]["findings"])
+
+
 def verdict_of(document: dict[str, Any]) -> str:
-    """The verdict: numbers with what they should be, findings, and the judgement as last line."""
+    """The verdict: numbers with what they should be, further findings, and the judgement."""
     numbers = document["verdict"]
     lines = ["", "Is it right?", *(f"  {line}" for line in _numbers(document, numbers))]
     for finding in numbers["findings"]:
+        if finding["text"] in numbers["judgement"]:
+            continue
         lines.append(f"  - {finding['text']}")
         if finding["remedy"]:
             lines.append(f"    {finding['remedy']}")
