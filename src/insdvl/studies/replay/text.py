@@ -1,6 +1,6 @@
 """The numbers of a replay for the terminal: the table, and the verdict in words."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from insdvl.studies.judgement.numbers import refusals
@@ -68,6 +68,34 @@ def verdict_of(document: dict[str, Any]) -> str:
         if finding["remedy"]:
             lines.append(f"    {finding['remedy']}")
     return "\n".join([*lines, numbers["judgement"]])
+
+
+def side_by_side(documents: Sequence[dict[str, Any]]) -> str:
+    """The numbers of several configurations in columns, and the judgement of each."""
+    has_reference = all(document["reference_stamps"] >= 2 for document in documents)
+    rows = [*(_ROWS if has_reference else ()), *_ALWAYS]
+    lines = ["", "Side by side"]
+    lines += [f"  {k}: {document['configuration']}" for k, document in enumerate(documents, 1)]
+    lines.append(_columns("", range(1, len(documents) + 1)))
+    for text, name, unit in rows:
+        lines.append(f"{_columns(text, (d[name] for d in documents))} {unit}".rstrip())
+    for windows in zip(*(document["verdict"]["withheld"] for document in documents), strict=False):
+        label = f"{windows[0]['seconds']:g} s without DVL, log likelihood"
+        lines.append(_columns(label, (window["log_likelihood"] for window in windows)))
+    for k, document in enumerate(documents, 1):
+        lines.append(f"  {k}: {document['verdict']['judgement']}")
+    return "\n".join(lines)
+
+
+def _columns(label: str, values: Iterable[Any]) -> str:
+    return f"{label:32}" + "".join(f" {_shown(value):>11}" for value in values)
+
+
+def _shown(value: Any) -> str:
+    """A value of a document in a few characters."""
+    if value is None:
+        return "unknown"
+    return f"{value:.4g}" if isinstance(value, float) else str(value).partition(",")[0]
 
 
 def _numbers(document: dict[str, Any], numbers: dict[str, Any]) -> Iterator[str]:
