@@ -46,12 +46,14 @@ class Configuration:
         tuner: Parameters of the tuner.
         replay: Parameters of the replay.
         text: Where they are from.
+        warnings: What of the files has no effect.
     """
 
     filter: FilterParameters
     tuner: TunerParameters
     replay: ReplayParameters
     text: str
+    warnings: tuple[str, ...]
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -77,9 +79,13 @@ def _replay(arguments: argparse.Namespace) -> bool:
     """Replay; returns whether the verdict has a finding."""
     out = _check_places(arguments)
     first, *others = (_configured(arguments, further) for further in ("", *arguments.compare))
+    for text in dict.fromkeys(text for one in (first, *others) for text in one.warnings):
+        print(f"insdvl replay: WARN {text}", file=sys.stderr)
+    # First, since one that is refused must leave no result behind.
+    compared = [_navigated(arguments, other, None)[0] for other in others]
     document, judgement, without_report = _navigated(arguments, first, out)
-    if others:
-        document["compared"] = [_navigated(arguments, other, None)[0] for other in others]
+    if compared:
+        document["compared"] = compared
     if arguments.json == STANDARD_OUTPUT:
         sys.stdout.write(json_text(document))
     elif arguments.json is not None:
@@ -91,8 +97,8 @@ def _replay(arguments: argparse.Namespace) -> bool:
     if without_report:
         print(f"{'report.html':32} left out: {without_report}", file=words)
     print(verdict_of(document), file=words)
-    if others:
-        print(side_by_side([document, *document["compared"]]), file=words)
+    if compared:
+        print(side_by_side([document, *compared]), file=words)
     return bool(judgement.findings)
 
 
@@ -151,7 +157,7 @@ def _navigated(
 
 
 def _configured(arguments: argparse.Namespace, further: str = "") -> Configuration:
-    """The parameters of the three nodes; stderr tells what of the files has no effect.
+    """The parameters of the three nodes.
 
     Args:
         arguments: Of the command.
@@ -182,11 +188,9 @@ def _configured(arguments: argparse.Namespace, further: str = "") -> Configurati
     warned = warnings(files, names, unknown_to_all)
     if files and not any(reaches(file, names[:1]) for file in files):
         warned += [nothing_for(file, names[:1]) for file in files if reaches(file, names)]
-    for line in warned:
-        print(f"insdvl replay: WARN {line}", file=sys.stderr)
     filter_, tuner, replay = (one.parameters for one in loaded)
     text = ", ".join([*map(str, paths), *rules]) or "all defaults: no --config was given"
-    return Configuration(filter_, tuner, replay, text)
+    return Configuration(filter_, tuner, replay, text, tuple(warned))
 
 
 def _full_name(namespace: str | None, files: Sequence[ParameterFile], node: str) -> str:
