@@ -37,7 +37,7 @@ from ros_insdvl_sim.trials.demo_graph import (
     start_simulator,
     wait_until_ready,
 )
-from ros_insdvl_sim.trials.demo_result import Outcome, evaluate, print_counts, print_scores
+from ros_insdvl_sim.trials.demo_result import Outcome, evaluate, gain, print_counts, print_scores
 from ros_insdvl_sim.trials.environment import exit_code_of, graph_environment
 from ros_insdvl_sim.trials.processes import Processes
 from ros_insdvl_sim.trials.witness import Witness
@@ -155,8 +155,7 @@ def fly_demo(options: argparse.Namespace) -> int:
 
 def draw(picture: Path, outcome: Outcome, mission: str, seed: int) -> None:
     """Draw the mission with both filters' errors."""
-    scored = ", ".join(f"{k} {s.body_velocity_rmse:.4f} m/s" for k, s in outcome.scores.items())
-    title = f"{mission}, seed {seed}: {scored} (body velocity RMSE)"
+    title = f"{gain(outcome.scores)}\n{mission}, seed {seed}"
     plots.draw_mission(picture, title, outcome.t, outcome.truth, outcome.results, outcome.noises)
 
 

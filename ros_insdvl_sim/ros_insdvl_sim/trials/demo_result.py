@@ -59,12 +59,14 @@ def evaluate(monitor: Monitor) -> Outcome:
         raise TrialError("no stamps in common between the truth and the filters")
     start_ns = int(true_stamps[0])
     truth = track_of(true_rows[np.searchsorted(true_stamps, stamps)])
+    shown = {w.label.strip("/"): w.shown(None, None) for w in monitor.filters}
+    nis = {label: "-" if s.nis is None else f"{s.nis:.2f}" for label, s in shown.items()}
     results, scored = [], {}
     for label, (filter_stamps, rows) in series.items():
         rows = rows[np.searchsorted(filter_stamps, stamps)]
         track = track_of(rows)
         sigma = np.sqrt(rows[:, OdometrySeries.VELOCITY_VARIANCE])
-        results.append(plots.Result(label, track, sigma))
+        results.append(plots.Result(f"{label}, NIS {nis[label]}", track, sigma))
         scored[label] = scores(track, truth)
     noises = [
         plots.Noise(
@@ -99,10 +101,15 @@ def print_scores(scored: Mapping[str, Scores]) -> None:
     print(f"\n{'error against the truth':34}" + "".join(f"{name:>12}" for name in scored))
     for key, text in names.items():
         print(f"{text:34}" + "".join(f"{getattr(s, key):12.4f}" for s in scored.values()))
+    print(f"\n{gain(scored)}")
+
+
+def gain(scored: Mapping[str, Scores]) -> str:
+    """What the learned process noise gains, in a sentence."""
     constant, learned = (scored[name.strip("/")].body_velocity_rmse for name in FILTERS)
     change = 100.0 * (learned / constant - 1.0)
     verdict = "better" if change < 0.0 else "WORSE"
-    print(
-        f"\nIn body velocity the learned process noise is {abs(change):.1f} % {verdict} than the "
-        "constant one in this run."
+    return (
+        f"In body velocity the learned process noise is {abs(change):.1f} % {verdict} than the "
+        f"constant one in this run: {learned:.3f} against {constant:.3f} m/s RMSE."
     )

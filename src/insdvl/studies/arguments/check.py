@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 from insdvl.commands import examples
+from insdvl.studies.arguments.replay import add_set_option
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -19,6 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="parameter file by which the recording is judged; several in their order (default: "
         "the defaults, with frame convention, mount and rate of the IMU as the recording tells)",
     )
+    add_set_option(parser)
     parser.add_argument(
         "--json",
         type=Path,

@@ -8,9 +8,25 @@ from insdvl.commands import examples
 RATE = 10.0  # Hz, of the odometry in the result
 
 
+def add_set_option(parser: argparse.ArgumentParser) -> None:
+    """Declare --set."""
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="set a parameter, in place of what files say; NODE:NAME=VALUE where several nodes "
+        "know the name. May be given several times",
+    )
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's options."""
-    parser.epilog = examples("replay dive", "replay dive -c my.yaml --out run1 --strict")
+    parser.epilog = examples(
+        "replay dive -c my.yaml --out run1 --strict",
+        "replay dive --set dvl.noise_std=0.05 --from 60 --to 300",
+        "replay dive -c my.yaml --compare process_noise.source=external",
+    )
     parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2: a folder, .mcap or .db3")
     parser.add_argument(
         "-c",
@@ -22,6 +38,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "replay are used (default: all defaults). Several files are given as with --params-file, "
         "in their order",
     )
+    add_set_option(parser)
+    parser.add_argument(
+        "--compare",
+        action="append",
+        default=[],
+        metavar="YAML|NAME=VALUE",
+        help="also replay with this file after the others, or with this value, and show the "
+        "numbers side by side; once for each further configuration",
+    )
+    for name, what in (("from", "begin"), ("to", "end")):
+        parser.add_argument(
+            f"--{name}",
+            type=float,
+            dest=what,
+            metavar="S",
+            help=f"{what} so many seconds after the recording's first message",
+        )
     parser.add_argument(
         "--namespace",
         metavar="NS",

@@ -7,7 +7,10 @@ from pathlib import Path
 from insdvl.files import check_writable, json_text, write
 from insdvl.jobs.progress import Progress
 from insdvl.navigation.parameters import FilterParameters
-from insdvl.parameters.sections import load_section
+from insdvl.parameters.declaration import ParameterError
+from insdvl.parameters.files import read
+from insdvl.parameters.sections import full_name, nothing_for, reaches
+from insdvl.parameters.settings import load_set, settings
 from insdvl.recordings.bag_reader import BagReader
 from insdvl.recordings.parameters import ReplayParameters
 from insdvl.studies.check.answers import answers
@@ -24,13 +27,9 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         if arguments.json not in (None, TERMINAL):
             check_writable(arguments.json, "--json")
-        filter_, replay = FilterParameters(), ReplayParameters()
-        if arguments.config is not None:
-            filter_ = load_section(
-                arguments.config, "insdvl_filter", FilterParameters, required=True
-            )
-            replay = load_section(arguments.config, "insdvl_replay", ReplayParameters)
-        seen = looked_at(arguments.bag, filter_, replay, adapt=arguments.config is None)
+        filter_, replay = _parameters(arguments)
+        adapt = arguments.config is None and not arguments.set
+        seen = looked_at(arguments.bag, filter_, replay, adapt=adapt)
         found = answers(seen)
         if arguments.json is not None:
             document = json_text(document_of(str(arguments.bag), seen, found))
@@ -45,6 +44,21 @@ def run(arguments: argparse.Namespace) -> int:
             print(f"insdvl check: {line}", file=sys.stderr)
         return 2
     return 0 if is_usable(found) else 1
+
+
+def _parameters(arguments: argparse.Namespace) -> tuple[FilterParameters, ReplayParameters]:
+    """By files and settings; one of the files must be for the filter."""
+    files = read(arguments.config or [])
+    filter_, replay = "insdvl_filter", "insdvl_replay"
+    told = settings(arguments.set, {filter_: FilterParameters, replay: ReplayParameters})
+    name = full_name(files, filter_)
+    if files and not any(reaches(file, [name]) for file in files):
+        raise ParameterError(nothing_for(files[0], [name]))
+    of_replay = full_name(files, replay)
+    return (
+        load_set(files, name, FilterParameters, told[filter_]).parameters,
+        load_set(files, of_replay, ReplayParameters, told[replay]).parameters,
+    )
 
 
 def looked_at(

@@ -4,7 +4,7 @@ import argparse
 import math
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,25 +14,46 @@ from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import ParameterError, flatten
 from insdvl.parameters.files import ParameterFile
 from insdvl.parameters.files import read as read_files
-from insdvl.parameters.sections import full_name, load, nothing_for, reaches, warnings
+from insdvl.parameters.sections import full_name, nothing_for, reaches, warnings
+from insdvl.parameters.settings import load_set, settings
 from insdvl.recordings.base import BagError
 from insdvl.recordings.parameters import ReplayParameters
 from insdvl.recordings.played import Recording
 from insdvl.studies.judgement.incidents import incidents_of
 from insdvl.studies.judgement.verdict import Verdict, verdict
 from insdvl.studies.replay.fold import Replayed, fold_recording, read
+from insdvl.studies.replay.inputs.between import Between
 from insdvl.studies.replay.inputs.extrinsics import with_extrinsics
 from insdvl.studies.replay.inputs.injection import Injected, Injection
 from insdvl.studies.replay.inputs.learning import Learned
 from insdvl.studies.replay.result import Output, new_folder
 from insdvl.studies.replay.scores import report
-from insdvl.studies.replay.text import table_of, verdict_of
+from insdvl.studies.replay.text import side_by_side, table_of, verdict_of
 from insdvl.studies.report.facts import card_of, changed_parameters, versions
 from insdvl.tuner.parameters import TunerParameters
 from insdvl.watch.start import waits_for
 
 MIN_RATE, MAX_RATE = 0.01, 10_000.0
 STANDARD_OUTPUT = "-"
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """With what a recording is navigated.
+
+    Attributes:
+        filter: Parameters of the filter.
+        tuner: Parameters of the tuner.
+        replay: Parameters of the replay.
+        text: Where they are from.
+        warnings: What of the files has no effect.
+    """
+
+    filter: FilterParameters
+    tuner: TunerParameters
+    replay: ReplayParameters
+    text: str
+    warnings: tuple[str, ...]
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -57,10 +78,46 @@ def run(arguments: argparse.Namespace) -> int:
 def _replay(arguments: argparse.Namespace) -> bool:
     """Replay; returns whether the verdict has a finding."""
     out = _check_places(arguments)
-    filter_, tuner, replay = _parameters(arguments)
+    first, *others = (_configured(arguments, further) for further in ("", *arguments.compare))
+    for text in dict.fromkeys(text for one in (first, *others) for text in one.warnings):
+        print(f"insdvl replay: WARN {text}", file=sys.stderr)
+    # First, since one that is refused must leave no result behind.
+    compared = [_navigated(arguments, other, None)[0] for other in others]
+    document, judgement, without_report = _navigated(arguments, first, out)
+    if compared:
+        document["compared"] = compared
+    if arguments.json == STANDARD_OUTPUT:
+        sys.stdout.write(json_text(document))
+    elif arguments.json is not None:
+        write(Path(arguments.json), json_text(document).encode())
+    words = sys.stderr if arguments.json == STANDARD_OUTPUT else sys.stdout
+    print(table_of(document), file=words)
+    if out is not None:
+        print(f"{'result':32} {out}", file=words)
+    if without_report:
+        print(f"{'report.html':32} left out: {without_report}", file=words)
+    print(verdict_of(document), file=words)
+    if compared:
+        print(side_by_side([document, *compared]), file=words)
+    return bool(judgement.findings)
+
+
+def _navigated(
+    arguments: argparse.Namespace, configuration: Configuration, out: Path | None
+) -> tuple[dict[str, Any], Verdict, str]:
+    """The document of a configuration, its verdict, and why there is no report.
+
+    Args:
+        arguments: Of the command.
+        configuration: With what it is navigated.
+        out: Folder of the result, None for none.
+    """
+    filter_, tuner, replay = configuration.filter, configuration.tuner, configuration.replay
     injection = _injection(arguments)
 
     recording = read(arguments.bag, replay, filter_)
+    if arguments.begin is not None or arguments.end is not None:
+        recording = Between(recording, arguments.begin or 0.0, arguments.end)
     filter_ = with_extrinsics(arguments.bag, recording, filter_)
     if injection is not None:
         recording = Injected(recording, injection)
@@ -76,7 +133,7 @@ def _replay(arguments: argparse.Namespace) -> bool:
         judgement = verdict(replayed, filter_, document)
         document |= {
             "bag": str(arguments.bag),
-            "configuration": _configuration(arguments.config),
+            "configuration": configuration.text,
             "process_noise": q_from,
             "injected_noise": asdict(injection) if injection else None,
             "parameters": {"insdvl_filter": flatten(filter_), "insdvl_tuner": flatten(tuner)},
@@ -96,59 +153,50 @@ def _replay(arguments: argparse.Namespace) -> bool:
             replayed = fold_recording(recording, filter_, [output])
             document, judgement = judged(replayed)
             without_report = output.finish(replayed, document)
-    if arguments.json == STANDARD_OUTPUT:
-        sys.stdout.write(json_text(document))
-    elif arguments.json is not None:
-        write(Path(arguments.json), json_text(document).encode())
-    words = sys.stderr if arguments.json == STANDARD_OUTPUT else sys.stdout
-    print(table_of(document), file=words)
-    if out is not None:
-        print(f"{'result':32} {out}", file=words)
-    if without_report:
-        print(f"{'report.html':32} left out: {without_report}", file=words)
-    print(verdict_of(document), file=words)
-    return bool(judgement.findings)
+    return document, judgement, without_report
 
 
-def _parameters(
-    arguments: argparse.Namespace,
-) -> tuple[FilterParameters, TunerParameters, ReplayParameters]:
-    """The parameters of the three nodes; stderr tells what of the files has no effect."""
-    if not arguments.config:
-        return FilterParameters(), TunerParameters(), ReplayParameters()
-    files = read_files(arguments.config)
+def _configured(arguments: argparse.Namespace, further: str = "") -> Configuration:
+    """The parameters of the three nodes.
+
+    Args:
+        arguments: Of the command.
+        further: A file, or a setting, beside those of the arguments.
+    """
+    paths, rules = list(arguments.config or []), list(arguments.set)
+    if "=" in further and not Path(further).exists():
+        rules.append(further)
+    elif further:
+        paths.append(Path(further))
     groups = {
         "insdvl_filter": FilterParameters,
         "insdvl_tuner": TunerParameters,
         "insdvl_replay": ReplayParameters,
     }
+    told = settings(rules, groups)
+    files = read_files(paths)
     names = [_full_name(arguments.namespace, files, node) for node in groups]
     loaded, faults = [], []
-    for name, group in zip(names, groups.values(), strict=True):
+    for name, (node, group) in zip(names, groups.items(), strict=True):
         try:
-            loaded.append(load(files, name, group))
+            loaded.append(load_set(files, name, group, told[node]))
         except ParameterError as error:
             faults += str(error).splitlines()
     if faults:
         raise ParameterError("\n".join(dict.fromkeys(faults)))
     unknown_to_all = [g for g in loaded[0].ignored if all(g in one.ignored for one in loaded)]
-    told = warnings(files, names, unknown_to_all)
-    if not any(reaches(file, names[:1]) for file in files):
-        told += [nothing_for(file, names[:1]) for file in files if reaches(file, names)]
-    for line in told:
-        print(f"insdvl replay: WARN {line}", file=sys.stderr)
+    warned = warnings(files, names, unknown_to_all)
+    if files and not any(reaches(file, names[:1]) for file in files):
+        warned += [nothing_for(file, names[:1]) for file in files if reaches(file, names)]
     filter_, tuner, replay = (one.parameters for one in loaded)
-    return filter_, tuner, replay
+    text = ", ".join([*map(str, paths), *rules]) or "all defaults: no --config was given"
+    return Configuration(filter_, tuner, replay, text, tuple(warned))
 
 
 def _full_name(namespace: str | None, files: Sequence[ParameterFile], node: str) -> str:
     if namespace is None:
         return full_name(files, node)
     return f"/{namespace.strip('/')}/{node}" if namespace.strip("/") else f"/{node}"
-
-
-def _configuration(files: Sequence[Path] | None) -> str:
-    return ", ".join(map(str, files)) if files else "all defaults: no --config was given"
 
 
 def _with_process_noise(
@@ -181,6 +229,11 @@ def _check_places(arguments: argparse.Namespace) -> Path | None:
     if not (arguments.rate == 0.0 or MIN_RATE <= arguments.rate <= MAX_RATE):
         raise ValueError(
             f"--rate must be 0 or within {MIN_RATE:g} to {MAX_RATE:g} Hz, got {arguments.rate:g}"
+        )
+    begin, end = arguments.begin or 0.0, arguments.end
+    if not 0.0 <= begin < math.inf or (end is not None and not end > begin):
+        raise ValueError(
+            f"--from must be at least 0 and --to above it, got {arguments.begin} and {end}"
         )
     if arguments.json not in (None, STANDARD_OUTPUT):
         check_writable(Path(arguments.json), "--json")

@@ -1,6 +1,6 @@
 """The numbers of a replay for the terminal: the table, and the verdict in words."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from insdvl.studies.judgement.numbers import refusals
@@ -26,7 +26,10 @@ _ALWAYS = (
 
 
 def table_of(document: dict[str, Any]) -> str:
-    """The table of the command's JSON document; errors only where there is a reference."""
+    """The table of the command's JSON document; errors only where there is a reference.
+
+    What the verdict says is left to it.
+    """
     lines = [f"{'recording':32} {document['bag']}, {document['duration']:.5g} s"]
     lines.append(f"{'configuration':32} {document['configuration']}")
     has_reference = document["reference_stamps"] >= 2
@@ -42,21 +45,57 @@ def table_of(document: dict[str, Any]) -> str:
         lines.append(f"{'time jumps':32} {jumps}; errors are those after the last one")
     if document["start"]:
         lines.append(f"start: {document['start']}")
-    lines += [f"finding: {finding}" for finding in document["findings"]]
+    further = [finding for finding in document["findings"] if not _told(finding, document)]
+    lines += [f"finding: {finding}" for finding in further]
     lines += [f"{'not used: ' + key:32} {count}" for key, count in document["rejected"].items()]
-    lines += [f"frames: {finding}" for finding in document["frames"]]
     return "\n".join(lines)
 
 
+def _told(finding: str, document: dict[str, Any]) -> bool:
+    """Whether the verdict has what a finding of the filter begins with."""
+    what = finding.partition(" (")[0].partition(":")[0]
+    return any(x["text"].startswith(what) for x in document["verdict"]["findings"])
+
+
 def verdict_of(document: dict[str, Any]) -> str:
-    """The verdict: numbers with what they should be, findings, and the judgement as last line."""
+    """The verdict: numbers with what they should be, further findings, and the judgement."""
     numbers = document["verdict"]
     lines = ["", "Is it right?", *(f"  {line}" for line in _numbers(document, numbers))]
     for finding in numbers["findings"]:
+        if finding["text"] in numbers["judgement"]:
+            continue
         lines.append(f"  - {finding['text']}")
         if finding["remedy"]:
             lines.append(f"    {finding['remedy']}")
     return "\n".join([*lines, numbers["judgement"]])
+
+
+def side_by_side(documents: Sequence[dict[str, Any]]) -> str:
+    """The numbers of several configurations in columns, and the judgement of each."""
+    has_reference = all(document["reference_stamps"] >= 2 for document in documents)
+    rows = [*(_ROWS if has_reference else ()), *_ALWAYS]
+    lines = ["", "Side by side"]
+    lines += [f"  {k}: {document['configuration']}" for k, document in enumerate(documents, 1)]
+    lines.append(_columns("", range(1, len(documents) + 1)))
+    for text, name, unit in rows:
+        lines.append(f"{_columns(text, (d[name] for d in documents))} {unit}".rstrip())
+    for windows in zip(*(document["verdict"]["withheld"] for document in documents), strict=False):
+        label = f"{windows[0]['seconds']:g} s without DVL, log likelihood"
+        lines.append(_columns(label, (window["log_likelihood"] for window in windows)))
+    for k, document in enumerate(documents, 1):
+        lines.append(f"  {k}: {document['verdict']['judgement']}")
+    return "\n".join(lines)
+
+
+def _columns(label: str, values: Iterable[Any]) -> str:
+    return f"{label:32}" + "".join(f" {_shown(value):>11}" for value in values)
+
+
+def _shown(value: Any) -> str:
+    """A value of a document in a few characters."""
+    if value is None:
+        return "unknown"
+    return f"{value:.4g}" if isinstance(value, float) else str(value).partition(",")[0]
 
 
 def _numbers(document: dict[str, Any], numbers: dict[str, Any]) -> Iterator[str]:

@@ -4,6 +4,7 @@ import json
 from collections.abc import Sequence
 from html import escape
 from importlib.resources import files
+from typing import Any
 
 from insdvl.extras import MissingPackageError, extra
 from insdvl.studies.report.figures import Figure
@@ -51,8 +52,10 @@ def page_of(results: Sequence[Result]) -> str:
             f'<div class="columns">{"".join(columns)}</div></section>'
         )
     title = " and ".join(result.title for result in results)
+    arrays: dict[str, int] = {}
+    shared = {"figures": _shared(drawn, arrays), "arrays": list(arrays)}
     # "</" would end the script element.
-    data = json.dumps(drawn, allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
+    data = json.dumps(shared, allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
     return "\n".join(
         [
             "<!DOCTYPE html>",
@@ -72,6 +75,23 @@ def page_of(results: Sequence[Result]) -> str:
             "",
         ]
     )
+
+
+def _shared(value: Any, arrays: dict[str, int]) -> Any:
+    """A document with each array as its number among all that differ: many share their times.
+
+    Args:
+        value: The document.
+        arrays: Arrays in base64 and their numbers, to which those of the document are added.
+    """
+    if isinstance(value, list):
+        return [_shared(item, arrays) for item in value]
+    if not isinstance(value, dict):
+        return value
+    return {
+        key: arrays.setdefault(item, len(arrays)) if key == "bdata" else _shared(item, arrays)
+        for key, item in value.items()
+    }
 
 
 def _plotly() -> str:

@@ -26,7 +26,8 @@ with extra("plot"):
 
 # Colours that colour-blind readers tell apart (Okabe and Ito).
 _TRUTH = "#222222"
-_COLOURS = ("#d55e00", "#0072b2", "#009e73", "#cc79a7")
+_COLOURS = ("#d55e00", "#0072b2", "#009e73", "#cc79a7")  # of filters
+_AXES = ("#e69f00", "#56b4e9", "#777777")  # of x, y, z where filters are in the same figure
 _MOST_POINTS = 4000
 _ELLIPSES = 15
 _DVL = "dvl"
@@ -68,6 +69,8 @@ def draw_mission(
 ) -> None:
     """Draw the track, the body velocity errors with 3 sigma, and the process noise.
 
+    Colours are of filters, but for the axes of the noise, which have others.
+
     Args:
         path: The file; its suffix is png, pdf or svg.
         title: Title of the plot.
@@ -92,7 +95,7 @@ def draw_mission(
         _draw_velocity_error(axes, axis, t, truth, results, thin)
         axes.set_ylabel(f"{name} [m/s]")
         axes.tick_params(labelbottom=False)
-    rows[0].set_title("body velocity error, and 3 sigma (dashed)", fontsize=10, loc="left")
+    rows[0].set_title("body velocity error, and 3 sigma (band)", fontsize=10, loc="left")
     _legend_above(rows[0])
     force, rate = figure.add_subplot(five[3]), figure.add_subplot(five[4])
     _draw_noise(force, noises, slice(0, 3), "sigma of f [m/s$^2$]")
@@ -163,15 +166,14 @@ def _draw_velocity_error(
     for result, colour in zip(results, _COLOURS, strict=False):
         error = result.track.v_b[thin, axis] - truth.v_b[thin, axis]
         bound = 3.0 * result.velocity_sigma[thin, axis]
+        axes.fill_between(t[thin], -bound, bound, color=colour, alpha=0.18, linewidth=0.0)
         axes.plot(t[thin], error, color=colour, linewidth=0.7, label=result.label)
-        for sign in (-1.0, 1.0):
-            axes.plot(t[thin], sign * bound, "--", color=colour, linewidth=0.7, alpha=0.8)
 
 
 def _draw_noise(axes: Axes, noises: list[Noise], channels: slice, label: str) -> None:
     for noise, width in zip(noises, (0.8, 1.8), strict=False):
         sigma = np.sqrt(noise.variances[:, channels])
-        for name, column, colour in zip("xyz", sigma.T, _COLOURS, strict=False):
+        for name, column, colour in zip("xyz", sigma.T, _AXES, strict=True):
             axes.step(
                 noise.t,
                 column,

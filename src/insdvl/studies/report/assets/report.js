@@ -1,6 +1,7 @@
 "use strict";
 // Draws the figures, the first ones first, and moves all time axes together.
-const figures = JSON.parse(document.getElementById("figures").textContent);
+const { figures, arrays } = JSON.parse(document.getElementById("figures").textContent);
+restore(figures);
 const places = [...document.querySelectorAll(".figure")];
 const common = {
   margin: { l: 76, r: 24, t: 30, b: 42 },
@@ -16,6 +17,13 @@ const options = { responsive: true, displaylogo: false, scrollZoom: false,
   modeBarButtonsToRemove: ["select2d", "lasso2d", "sendDataToCloud", "zoomIn2d", "zoomOut2d"] };
 let range = null; // of all time axes; null is that of each figure
 let moving = false;
+
+// Puts the arrays, which many traces share, into their places.
+function restore(value) {
+  if (value === null || typeof value !== "object") return;
+  if (typeof value.bdata === "number") value.bdata = arrays[value.bdata];
+  Object.values(value).forEach(restore);
+}
 
 async function draw(place) {
   const { data, layout, time } = figures[place.dataset.figure];
