@@ -3,7 +3,7 @@
 30 bagged trees. "Minimum of 8 leaves" is read as a minimum leaf size of 8 in the preset `paper`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -67,6 +67,20 @@ def to_forest(
     trees = ensemble.estimators_
     everything = np.arange(ensemble.n_features_in_)
     subsets = getattr(ensemble, "estimators_features_", [everything] * len(trees))
+    return forest_of(trees, subsets, ensemble.n_features_in_)
+
+
+def forest_of(trees: Sequence[Any], subsets: Sequence[Any], n_features: int) -> Forest:
+    """The mean of fitted regression trees.
+
+    Args:
+        trees: DecisionTreeRegressors with one output.
+        subsets: The columns of a row that each tree sees.
+        n_features: Length of a row.
+
+    Raises:
+        ForestError: One is no such tree.
+    """
     features, thresholds, values, roots = [], [], [], []
     n_nodes = 0
     for estimator, columns in zip(trees, subsets, strict=True):
@@ -91,7 +105,7 @@ def to_forest(
             "threshold": np.concatenate(thresholds),
             "value": np.concatenate(values),
             "roots": np.array(roots, np.int32),
-            "n_features": np.array(ensemble.n_features_in_, np.int32),
+            "n_features": np.array(n_features, np.int32),
         }
     )
 
