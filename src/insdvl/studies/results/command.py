@@ -18,7 +18,6 @@ from insdvl.jobs.store import Store, environment
 from insdvl.simulation.noise import SCENARIOS
 from insdvl.studies.evaluation import comparison
 from insdvl.studies.evaluation.approaches import (
-    BANDS,
     BEST_CONSTANT,
     CLOSED_FORM,
     FIRST_CONSTANT,
@@ -112,7 +111,6 @@ def _compute(part: str, arguments: argparse.Namespace, folder: Path, pool: Pool)
         settings = recordings.Settings.load(arguments.config)
         recorded = recordings.load_all(arguments.recordings, settings)
         learned = {row: load_model(LEARNED[row]) for row in ("hcf paper", "hcf default")}
-        learned[BANDS] = load_model(BANDS)
         source = Path(vehicle.__file__)
         fingerprint_ = recordings.fingerprint(recorded, settings, learned)
         store = Store(work, {"seed": seed, **fingerprint_}, source)

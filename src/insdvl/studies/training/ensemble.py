@@ -32,7 +32,9 @@ TREES = 30
 PRESETS = {"paper": 8, "default": 200}
 
 
-def fit(X: Array, y: Array, min_samples_leaf: int, seed: int) -> BaggingRegressor:
+def fit(
+    X: Array, y: Array, min_samples_leaf: int, seed: int, share: float = 1.0
+) -> BaggingRegressor:
     """Fit the ensemble.
 
     Args:
@@ -40,10 +42,12 @@ def fit(X: Array, y: Array, min_samples_leaf: int, seed: int) -> BaggingRegresso
         y: (M,) targets.
         min_samples_leaf: Smallest number of examples in a leaf.
         seed: Random seed in [0, 2^32).
+        share: Number of examples that are drawn for each tree, over M.
     """
     ensemble = BaggingRegressor(
         DecisionTreeRegressor(min_samples_leaf=min_samples_leaf),
         n_estimators=TREES,
+        max_samples=share,
         random_state=seed,
         n_jobs=1,
     )
