@@ -39,7 +39,9 @@ def test_equals_the_tuner_to_the_bit(kind, rate):
     expected = [answer for answer in answers if answer is not None]
     assert expected
     model = tuner.model
-    at, q = tuned(stamps, samples, model.variances, model.window, rate, round(MAX_GAP * NS))
+    at, q = tuned(
+        stamps, samples, model.variances, model.window, rate, round(MAX_GAP * NS), model.history
+    )
     assert at.tolist() == [answer.stamp_ns for answer in expected]
     np.testing.assert_array_equal(q, [answer.variances for answer in expected])
 
@@ -55,6 +57,16 @@ def test_a_window_is_the_samples_that_end_with_the_closing_one():
     np.testing.assert_array_equal(last, samples[99::100])
     _, first = tuned(stamps, samples, lambda windows: windows[:, 0], 50, 1.0, NS)
     np.testing.assert_array_equal(first, samples[50::100])
+
+
+def test_a_history_grows_from_the_window_after_each_gap():
+    stamps = recording("regular")
+    stamps[700:] += NS
+    lengths = lambda windows: np.full(len(windows), float(windows.shape[1]))  # noqa: E731
+    at, used = tuned(stamps, np.zeros((stamps.size, 6)), lengths, 150, 1.0, NS // 2, 350)
+    seconds = ((at - START) // NS).tolist()
+    assert seconds == [2, 3, 4, 5, 6, 7, 10, 11, 12, 13, 14, 15, 16]
+    assert used[:, 0].tolist() == [200, 300, 350, 350, 350, 350, 200, 300] + [350] * 5
 
 
 @pytest.mark.parametrize("n", [0, 1, 199])

@@ -160,7 +160,7 @@ def test_a_card_that_is_not_a_json_object_is_named(model, text, reason):
         ({"window": "200"}, "window must be of type int, got '200'"),
         ({"window": True}, "window must be of type int, got True"),
         ({"window": 2}, "window must be >= 3 and <= 10000, got 2"),
-        ({"feature_schema": "wavelets"}, "'wavelets' is unknown; known are default, paper"),
+        ({"feature_schema": "wavelets"}, "'wavelets' is unknown; known are bands, default, paper"),
         ({"features": list(FEATURE_NAMES[::-1])}, "features are not those of the schema 'paper'"),
         ({"features": []}, "features are not those of the schema 'paper'"),
     ],

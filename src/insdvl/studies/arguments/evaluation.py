@@ -25,6 +25,7 @@ ROWS = (
     "dnn default",
     "hcf paper",
     "hcf default",
+    "bands",
     "best constant",
     "best constant for SRMSE",
     "closed form",

@@ -7,7 +7,7 @@ from insdvl.commands import examples
 from insdvl.jobs.arguments import add_worker_options
 
 #: The names that the modules of the study define; a test holds that they are the same.
-PRESETS = ("default", "paper", "dnn", "dnn-default")
+PRESETS = ("bands", "default", "paper", "dnn", "dnn-default")
 WINDOW = 200  # samples
 
 
@@ -16,13 +16,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = examples(
         "train --preset default --out models",
         "train --preset paper --window 100 --seed 3 --jobs 2",
+        "train --preset bands --quick --out /tmp/models",
     )
     parser.add_argument(
         "--preset",
         default="default",
         choices=PRESETS,
         help="model to train; default: trees for any scale; paper: trees as published; "
-        "dnn-default, dnn: the same with a convolutional network",
+        "dnn-default, dnn: the same with a convolutional network; bands: trees on band powers, "
+        "for noise that is not white",
     )
     parser.add_argument(
         "--window",
@@ -36,6 +38,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=0,
         help="random seed of data set, split and training (default: 0)",
+    )
+    parser.add_argument(
+        "--quick",
+        action="store_true",
+        help="--preset bands with a fifth of the vehicles",
     )
     parser.add_argument(
         "--out",

@@ -50,13 +50,15 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
 FIRST = (0.01, 0.001)  # the first published constant: variances of f_b [(m/s^2)^2], w_ib_b
 SECOND = (0.2, 0.02)  # the second, 20 times the first
 
-#: Model of each row with learned process noise.
+#: Model of each row with a process noise that was learned from white noise.
 LEARNED = {
     "hcf paper": "paper",
     "hcf default": "default",
     "dnn": "dnn",
     "dnn default": "dnn-default",
 }
+#: The row of the model that was learned from vehicles, and its name.
+BANDS = "bands"
 CLOSED_FORM = "closed form"
 SINGLE_BAND = "single band"
 LEAST_BAND = "least band"
@@ -85,6 +87,7 @@ ROWS = (
     "dnn default",
     "hcf paper",
     "hcf default",
+    BANDS,
     BEST_CONSTANT,
     BEST_CONSTANT_SRMSE,
     CLOSED_FORM,
@@ -248,7 +251,9 @@ def adaptives(setting: Setting, best: tuple[float, float]) -> dict[str, tuple[Ap
 
 def model_of(row: str) -> str | None:
     """Name or path of the model of a row; None where the row has none."""
-    return row.removeprefix(OWN_MODEL) if row.startswith(OWN_MODEL) else LEARNED.get(row)
+    if row.startswith(OWN_MODEL):
+        return row.removeprefix(OWN_MODEL)
+    return BANDS if row == BANDS else LEARNED.get(row)
 
 
 @cache

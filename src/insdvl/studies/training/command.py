@@ -22,14 +22,17 @@ class Preset:
     """The module that trains a model.
 
     Attributes:
-        module: Has ``train(preset, window, seed, pool, store, say)``; imported only when needed.
+        module: Has ``train(preset, window, seed, pool, store, say)``, and for `bands` also
+            ``quick``; imported only when needed.
         packages: Optional packages that it needs.
         min_window: Smallest number of samples of a window.
+        max_window: Largest.
     """
 
     module: str
     packages: tuple[str, ...] = ()
     min_window: int = MIN_WINDOW
+    max_window: int = MAX_WINDOW
 
 
 _TREES = Preset("insdvl.studies.training.ensemble")
@@ -37,7 +40,15 @@ _NETWORK = Preset(
     "insdvl.studies.training.network", ("torch", "onnx", "onnxruntime"), min_window=22
 )
 
-PRESETS = {"default": _TREES, "paper": _TREES, "dnn": _NETWORK, "dnn-default": _NETWORK}
+_BANDS = Preset("insdvl.studies.training.bands", min_window=200, max_window=200)
+
+PRESETS = {
+    "bands": _BANDS,
+    "default": _TREES,
+    "paper": _TREES,
+    "dnn": _NETWORK,
+    "dnn-default": _NETWORK,
+}
 
 MAX_SEED = 2**32 - 1  # scikit-learn's largest
 
@@ -56,14 +67,15 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"insdvl train: {error}", file=sys.stderr)
         return 2
     module = import_module(PRESETS[preset].module)
+    quick = {"quick": True} if arguments.quick else {}
     try:
         with open_pool(workers) as pool:
             store = Store(
                 out / f".{name}.work",
-                {"preset": preset, "window": window, "seed": arguments.seed},
+                {"preset": preset, "window": window, "seed": arguments.seed, **quick},
                 Path(str(module.__file__)),
             )
-            data, card = module.train(preset, window, arguments.seed, pool, store, print)
+            data, card = module.train(preset, window, arguments.seed, pool, store, print, **quick)
             written = write_model(out, data, {"name": name, **card})
             store.clear()
     except (WorkersError, OSError) as error:
@@ -82,10 +94,13 @@ def _checked(arguments: argparse.Namespace) -> Workers:
     if not 0 <= arguments.seed <= MAX_SEED:
         raise ValueError(f"--seed must be within 0 to {MAX_SEED}, got {arguments.seed}")
     preset = PRESETS[arguments.preset]
-    if not preset.min_window <= arguments.window <= MAX_WINDOW:
+    if not preset.min_window <= arguments.window <= preset.max_window:
         raise ValueError(
-            f"--window must be within {preset.min_window} to {MAX_WINDOW}, got {arguments.window}"
+            f"--window must be within {preset.min_window} to {preset.max_window}, "
+            f"got {arguments.window}"
         )
+    if arguments.quick and preset is not _BANDS:
+        raise ValueError(f"--quick is for --preset bands, got --preset {arguments.preset}")
     missing = [name for name in preset.packages if find_spec(name) is None]
     if missing:
         raise ValueError(

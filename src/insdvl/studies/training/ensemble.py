@@ -36,7 +36,13 @@ PRESETS = {"paper": 8, "default": 200}
 
 
 def fit(
-    X: Array, y: Array, min_samples_leaf: int, seed: int, trees: range = range(TREES)
+    X: Array,
+    y: Array,
+    min_samples_leaf: int,
+    seed: int,
+    *,
+    trees: range = range(TREES),
+    share: float = 1.0,
 ) -> BaggingRegressor:
     """Fit the ensemble, or some of its trees, which are the same alone and in the ensemble.
 
@@ -46,10 +52,12 @@ def fit(
         min_samples_leaf: Smallest number of examples in a leaf.
         seed: Random seed in [0, 2^32).
         trees: Consecutive numbers of the trees.
+        share: Number of examples that are drawn for each tree, over M.
     """
     ensemble = BaggingRegressor(
         DecisionTreeRegressor(min_samples_leaf=min_samples_leaf),
         n_estimators=trees.stop,
+        max_samples=share,
         random_state=seed,
         n_jobs=1,
         warm_start=True,
@@ -79,6 +87,20 @@ def to_forest(
     trees = ensemble.estimators_
     everything = np.arange(ensemble.n_features_in_)
     subsets = getattr(ensemble, "estimators_features_", [everything] * len(trees))
+    return forest_of(trees, subsets, ensemble.n_features_in_)
+
+
+def forest_of(trees: Sequence[Any], subsets: Sequence[Any], n_features: int) -> Forest:
+    """The mean of fitted regression trees.
+
+    Args:
+        trees: DecisionTreeRegressors with one output.
+        subsets: The columns of a row that each tree sees.
+        n_features: Length of a row.
+
+    Raises:
+        ForestError: One is no such tree.
+    """
     features, thresholds, values, roots = [], [], [], []
     n_nodes = 0
     for estimator, columns in zip(trees, subsets, strict=True):
@@ -103,7 +125,7 @@ def to_forest(
             "threshold": np.concatenate(thresholds),
             "value": np.concatenate(values),
             "roots": np.array(roots, np.int32),
-            "n_features": np.array(ensemble.n_features_in_, np.int32),
+            "n_features": np.array(n_features, np.int32),
         }
     )
 
@@ -189,4 +211,4 @@ def train(
 def _fit(shared: tuple[Array, Array, int, int], task: tuple[Indices, range]) -> Result:
     X, y, min_samples_leaf, seed = shared
     training, trees = task
-    return to_forest(fit(X[training], y[training], min_samples_leaf, seed, trees)).arrays
+    return to_forest(fit(X[training], y[training], min_samples_leaf, seed, trees=trees)).arrays

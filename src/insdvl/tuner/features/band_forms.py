@@ -43,12 +43,12 @@ def single_band(windows: Array) -> Array:
 
 def least_band(windows: Array) -> Array:
     """Least power of the seven bands, divided by its mean for white noise of variance 1."""
-    return band_powers(windows).near.min(axis=1) / _least(_used(windows))
+    return band_powers(windows).near.min(axis=1) / mean_of_least(_used(windows))
 
 
 def median_of_spectrum(windows: Array) -> Array:
     """Median power of the frequencies, divided by its median for white noise of variance 1."""
-    return np.median(band_powers(windows).spectrum, axis=1) / _median(_used(windows))
+    return np.median(band_powers(windows).spectrum, axis=1) / median_of_white(_used(windows))
 
 
 def _used(windows: Array) -> int:
@@ -83,7 +83,7 @@ def degrees(n: int) -> Degrees:
 
 
 @cache
-def _least(n: int) -> float:
+def mean_of_least(n: int) -> float:
     """Mean of the least of independent chi-square variables, each divided by its degrees."""
     x = (np.arange(4000) + 0.5) / 1000.0
     above = gammaincc(degrees(n).bands[:, None] / 2.0, degrees(n).bands[:, None] / 2.0 * x)
@@ -91,7 +91,7 @@ def _least(n: int) -> float:
 
 
 @cache
-def _median(n: int) -> float:
+def median_of_white(n: int) -> float:
     """Median of a chi-square variable divided by its degrees, those of the middle frequency."""
     dof = float(np.median(degrees(n).frequencies))
     return float(gammaincinv(dof / 2.0, 0.5) * 2.0 / dof)

@@ -1,0 +1,94 @@
+"""The data set of drawn vehicles, and the training of the model `bands`."""
+
+import numpy as np
+import pytest
+from sklearn.ensemble import GradientBoostingRegressor
+
+from insdvl import cli
+from insdvl.jobs.options import Workers
+from insdvl.jobs.pool import open_pool
+from insdvl.studies.training import bands, vehicles
+from insdvl.studies.training.vehicles import KINDS, PARTS, Recipe, Vehicles
+from insdvl.tuner.features.band_features import BAND_FEATURE_NAMES
+from insdvl.tuner.models import load_model
+
+TINY = Recipe("bands", seed=5, vehicles=1, duration=6.0)
+
+
+@pytest.fixture(scope="module")
+def tiny() -> Vehicles:
+    with open_pool(Workers(jobs=1)) as pool:
+        return vehicles.build(TINY, pool)
+
+
+def test_examples_are_ordered_by_kind_vehicle_time_channel(tiny):
+    assert tiny.X.shape == (len(KINDS) * 2 * 6, len(BAND_FEATURE_NAMES))
+    np.testing.assert_array_equal(tiny.kind, np.repeat(np.arange(len(KINDS)), 12))
+    np.testing.assert_array_equal(tiny.X[:12, -1], np.repeat([1.0, 2.0], 6))  # history
+    mission = vehicles.mission_of(TINY, "white", 0)
+    np.testing.assert_array_equal(tiny.q[:12], mission.q[[199, 499]].ravel())
+
+
+def test_a_vehicle_depends_on_its_kind_number_and_seed():
+    q = {
+        (recipe.seed, kind, number): vehicles.mission_of(recipe, kind, number).f_b[0, 0]
+        for recipe in (TINY, Recipe("bands", 6, 1, 6.0))
+        for kind in ("white", "coloured")
+        for number in (0, 1)
+    }
+    assert len(set(q.values())) == 8
+    again = vehicles.mission_of(TINY, "white", 1).f_b[0, 0]
+    assert again == q[5, "white", 1]
+
+
+def test_parts_share_no_vehicle():
+    vehicle = np.tile(np.repeat(np.arange(20), 3), 2)
+    data = Vehicles(*[np.zeros(vehicle.size)] * 3, np.repeat([0, 1], 60), vehicle)
+    found = {
+        part: {(k, v) for k, v in zip(data.kind[at], vehicle[at], strict=True)}
+        for part in PARTS
+        for at in [data.part(part)]
+    }
+    assert {part: len(own) for part, own in found.items()} == {
+        "training": 28,
+        "validation": 4,
+        "test": 8,
+    }
+    assert len(set().union(*found.values())) == 40
+
+
+def test_boosted_trees_are_a_mean_of_trees():
+    rng = np.random.default_rng(1)
+    X = rng.standard_normal((300, 4)).astype(np.float32)
+    y = X[:, 0] + np.abs(X[:, 1])
+    ensemble = GradientBoostingRegressor(init="zero", n_estimators=7, random_state=3).fit(X, y)
+    forest = bands.of_boosted(ensemble, start=-2.0)
+    np.testing.assert_allclose(forest.predict(X), ensemble.predict(X) - 2.0, rtol=1e-12)
+
+
+def test_the_command_writes_a_model_that_a_tuner_can_use(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(bands, "QUICK_VEHICLES", 10)
+    monkeypatch.setattr(bands, "DURATION", 3.0)
+    command = ("train", "--preset", "bands", "--quick", "--jobs", "1", "--out", str(tmp_path))
+    assert cli.main(command) == 0
+    model = load_model(str(tmp_path / "bands.npz"))
+    assert (model.window, model.history) == (200, 2000)
+    assert model.card["data_set"]["examples"] == 60 * 6
+    chosen, errors = (model.card["ensemble"][k] for k in ("chosen", "validation_rms_log_q"))
+    assert errors[chosen] == min(errors.values())
+    white = np.random.default_rng(0).standard_normal((50, 600))
+    np.testing.assert_allclose(
+        model.variances(4.0 * white), 16.0 * model.variances(white), rtol=1e-12
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        (("--preset", "bands", "--window", "100"), "--window must be within 200 to 200, got 100"),
+        (("--preset", "paper", "--quick"), "--quick is for --preset bands, got --preset paper"),
+    ],
+)
+def test_options_that_do_not_go_together_are_rejected(options, reason, capsys):
+    assert cli.main(("train", *options)) == 2
+    assert reason in capsys.readouterr().err
