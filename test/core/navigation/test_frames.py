@@ -9,8 +9,11 @@ from insdvl.navigation.geometry.frames import (
     CONVENTIONS,
     ENU,
     NED,
+    rotation_from_quaternion,
     rotation_from_rpy,
+    rotation_from_vector,
     rpy_from_rotation,
+    vector_from_rotation,
 )
 
 FORWARD = np.array([1.0, 0.0, 0.0])
@@ -106,3 +109,31 @@ def test_rpy_is_finite_straight_up_and_down(pitch):
 def test_zero_quaternion_is_an_error():
     with pytest.raises(ValueError, match="zero norm"):
         frames.rotation_from_quaternion(np.zeros(4))
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-6, 1e-3, 0.7, 3.0, np.pi])
+def test_rotations_and_their_vectors_are_those_of_scipy(angle):
+    rng = np.random.default_rng(4)
+    axes = rng.standard_normal((20, 3))
+    phi = angle * axes / np.linalg.norm(axes, axis=1, keepdims=True)
+    C = Rotation.from_rotvec(phi).as_matrix()
+    np.testing.assert_allclose(rotation_from_vector(phi), C, rtol=0.0, atol=1e-14)
+    back = vector_from_rotation(C)
+    np.testing.assert_allclose(rotation_from_vector(back), C, rtol=0.0, atol=1e-14)
+    if angle < 3.1:  # at pi both directions of the axis are right
+        np.testing.assert_allclose(back, phi, rtol=1e-12, atol=1e-15)
+
+
+def test_a_quaternion_is_normalised_and_zero_is_refused():
+    q = np.random.default_rng(5).standard_normal((20, 4))
+    for one in q:
+        expected = Rotation.from_quat(one).as_matrix()
+        np.testing.assert_allclose(rotation_from_quaternion(one), expected, rtol=0.0, atol=1e-14)
+    with pytest.raises(ValueError, match="zero norm"):
+        rotation_from_quaternion(np.zeros(4))
+
+
+def test_roll_pitch_and_yaw_are_those_of_scipy():
+    for rpy in np.random.default_rng(6).uniform(-4.0, 4.0, (20, 3)):
+        expected = Rotation.from_euler("xyz", rpy).as_matrix()
+        np.testing.assert_allclose(rotation_from_rpy(rpy), expected, rtol=0.0, atol=1e-14)

@@ -70,7 +70,7 @@ def rotation_from_quaternion(q_xyzw: Array) -> Array:
     """Rotation (3, 3) from a quaternion (x, y, z, w); it is normalised, zero is a ValueError."""
     norm = float(np.linalg.norm(q_xyzw))
     if norm == 0.0:
-        raise ValueError("a quaternion must not be zero")
+        raise ValueError("a quaternion must not have zero norm")
     x, y, z, w = np.asarray(q_xyzw) / norm
     return np.array(
         [
