@@ -16,7 +16,8 @@ def compile_fold(parameters: FilterParameters) -> None:
     """Run a filter for a moment, so that no message ever waits for a compilation.
 
     Its measurements come between two samples, as those of a sensor do, and its channels freeze. The
-    first one corrects so much that it is of second order, the next one is ordinary.
+    first one corrects so much that it is of second order, the next one is ordinary and tells its
+    noise.
     """
     fold = Fold(
         replace(
@@ -41,7 +42,7 @@ def compile_fold(parameters: FilterParameters) -> None:
     events += [
         ProcessNoise(2 * step - step // 2, np.eye(3), np.eye(3)),
         Dvl(3 * step - step // 2, np.full(3, 0.01)),
-        Dvl(4 * step - step // 2, np.full(3, 0.02)),
+        Dvl(4 * step - step // 2, np.full(3, 0.02), np.eye(3)),
         Heading(4 * step - step // 4, np.eye(3)),
     ]
     for event in events:

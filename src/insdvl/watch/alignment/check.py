@@ -21,6 +21,7 @@ import numpy as np
 from insdvl.arrays import Array, Stamps
 from insdvl.kernels import kernel
 from insdvl.navigation.events import NS, Event, Imu
+from insdvl.navigation.geometry.frames import vector_from_rotation
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.state import FOREVER, NEVER
@@ -359,3 +360,4 @@ def compile_check(parameters: FilterParameters) -> None:
     check.add(Dvl(4 * step_ns, np.full(3, 0.01)))
     stamps, zeros = step_ns * np.arange(1, 4), np.zeros((3, 3))
     integrated(stamps, zeros, zeros, stamps, zeros, 0.0)  # as after a window
+    vector_from_rotation(np.eye(3))  # as an explanation does
