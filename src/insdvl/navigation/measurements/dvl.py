@@ -145,11 +145,18 @@ class DvlParameters(SensorParameters):
         one_for_all=True,
         changeable=True,
     )
+    noise_source: str = parameter(
+        "nominal",
+        "Where the noise comes from: as dvl.covariance says; or that times a factor from the "
+        "innovations, guarded by the pings and the IMU between them (adaptive), or from those "
+        "alone (learned).",
+        choices=("nominal", "adaptive", "learned"),
+    )
     noise_floor: float = parameter(
         0.01,
-        "With covariance 'largest', the smallest sigma of a component that a message may tell. "
-        "Drivers tell the spread within one ping, or nothing that means anything; real errors are "
-        "rarely smaller.",
+        "The smallest sigma of a component that a message may tell with covariance 'largest', and "
+        "that a noise_source may reach. Drivers tell the spread within one ping, or nothing that "
+        "means anything; real errors are rarely smaller.",
         unit="m/s",
         low=0.0,
         high=10.0,
@@ -261,6 +268,7 @@ class DvlModel(SensorModel[Dvl]):
             for block in ("dvl_error", "dvl_mount")
         )
         self.turn_window_ns = round(parameters.gyro_average * NS)
+        self.noise_source, self.noise_floor = parameters.noise_source, parameters.noise_floor
 
     def reading(self, event: Dvl) -> Array:
         """The velocity."""
