@@ -105,7 +105,7 @@ def test_online_late_and_resumed_are_the_offline_run_to_the_bit(source: str) -> 
     for event in sorted([*samples, *pings(m)], key=lambda event: event.stamp_ns):
         if event.stamp_ns <= then:
             first.add(event)
-    record = decode(encode(first.latest, settings), settings)
+    record = decode(encode(first.latest, settings), first.filter)
     np.testing.assert_array_equal(record["dvl_noise"], first.latest["dvl_noise"])
     assert LAYOUT.dtype == record.dtype
 
@@ -183,11 +183,11 @@ def test_without_noise_the_sigma_is_that_of_the_floor() -> None:
     assert np.sqrt(found[-1]) * STD == pytest.approx(0.002, rel=1e-6)
 
 
-def test_the_gate_judges_by_the_nominal_noise_or_more() -> None:
-    """A quiet DVL of which a ping is off by 4 nominal sigma: not refused, though 40 of its own."""
+def test_the_gate_judges_by_twice_the_nominal_sigma_or_more() -> None:
+    """A quiet DVL of which a ping is off by 6 nominal sigma: not refused, though 60 of its own."""
     m = mission(std=0.1 * STD)
     good = pings(m)
-    off = replace(good[-1], v_d=good[-1].v_d + np.array([0.0, 0.06, 0.0]))
+    off = replace(good[-1], v_d=good[-1].v_d + np.array([0.0, 0.12, 0.0]))
     report = fly(parameters("adaptive"), m, [*good[:-1], off]).updates[-1].report
     assert report.accepted
     assert report.nis > 100.0  # by what was learned before it

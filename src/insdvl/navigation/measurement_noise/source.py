@@ -31,8 +31,8 @@ STEADY, QUICK = (6.0, 8.0), (1.0, 2.0)
 CHANGED = 2.5
 #: After so long [s] without a measurement a belief weighs no more than a prior.
 PAUSE = 10.0
-#: Largest factor on the nominal covariance, and largest by which the gate judges.
-LARGEST, LARGEST_FOR_GATE = 100.0, 9.0
+#: Largest factor on the nominal covariance; least and largest by which the gate judges.
+LARGEST, LEAST_FOR_GATE, LARGEST_FOR_GATE = 100.0, 4.0, 9.0
 #: Smallest factor, where there is no floor.
 SMALLEST = 1e-4
 
@@ -111,12 +111,12 @@ class MeasurementNoise:
     # ---------------------------------------------------------------- R
 
     def for_gate(self, s: State, event: Measurement, nominal: Linearised) -> Linearised:
-        """The measurement by whose R the gate judges: no less than nominal, nor far beyond it.
+        """The measurement by whose R the gate judges: 2 to 3 times the nominal sigma.
 
-        What passes by the nominal noise may teach how small the noise really is. A gate that went
-        by its own small estimate would refuse the first measurements above a worse bottom.
+        A gate that went by a small estimate would refuse the first measurements above a worse
+        bottom, and never learn of it; one that went by a large one would let a fault pass.
         """
-        factor = min(max(self._expected(s, event), 1.0), LARGEST_FOR_GATE)
+        factor = min(max(self._expected(s, event), LEAST_FOR_GATE), LARGEST_FOR_GATE)
         return nominal._replace(R=self._scaled(event, nominal, factor))
 
     def predicted(self, s: State, event: Measurement, nominal: Linearised) -> Innovated:
