@@ -195,7 +195,10 @@ def test_the_gate_judges_by_twice_the_nominal_sigma_or_more() -> None:
 
 @pytest.mark.long
 def test_a_step_from_5_to_100_mm_s_and_back() -> None:
-    """RMSE at most 1.1 of that of the filter that is told the noise, gate on; constant R: 1.5."""
+    """RMSE at most 1.1 of that of the filter that is told the noise, with the gate on.
+
+    The nominal sigma is 50 mm/s: by what the gate takes, it must be half of the largest.
+    """
     ratios = []
     for seed in range(8):
         m = mission(120.0, seed=seed, std=1.0)
@@ -208,6 +211,7 @@ def test_a_step_from_5_to_100_mm_s_and_back() -> None:
         settings = parameters("nominal", gate=False)
         known = replace(settings, dvl=replace(settings.dvl, covariance="message"))
         adaptive = parameters("adaptive")
+        adaptive = replace(adaptive, dvl=replace(adaptive.dvl, noise_std=(0.05,) * 3))
         ratios.append((rmse(fly(adaptive, m, measured), m), rmse(fly(known, m, told), m)))
     estimated, oracle = np.mean(ratios, axis=0)
     assert estimated / oracle < 1.1
@@ -222,8 +226,7 @@ def ideal_error(m: Mission) -> np.ndarray:
 
 @pytest.mark.long
 @pytest.mark.parametrize("q_factor", [0.01, 100.0])
-@pytest.mark.parametrize("source", SOURCES)
-def test_a_wrong_constant_q_does_not_push_r_away(source: str, q_factor: float) -> None:
+def test_a_wrong_constant_q_does_not_push_r_away(q_factor: float) -> None:
     """At most 1.03 of the RMSE with the constant R, which is right; 8 flights of 2 minutes."""
     errors = []
     for seed in range(8):
@@ -231,7 +234,7 @@ def test_a_wrong_constant_q_does_not_push_r_away(source: str, q_factor: float) -
         errors.append(
             [
                 rmse(fly(parameters(s, q_factor, gate=False), m, pings(m)), m, 30.0)
-                for s in (source, "nominal")
+                for s in ("adaptive", "nominal")
             ]
         )
     estimated, nominal = np.mean(errors, axis=0)
