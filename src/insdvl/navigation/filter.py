@@ -26,6 +26,8 @@ from insdvl.navigation.events import (
 from insdvl.navigation.gate.gate import Gate
 from insdvl.navigation.geometry.frames import CONVENTIONS, rotation_from_rpy
 from insdvl.navigation.kalman import Innovated
+from insdvl.navigation.measurement_noise import source
+from insdvl.navigation.measurement_noise.source import MeasurementNoise
 from insdvl.navigation.measurements import claims
 from insdvl.navigation.measurements.base import SensorModel, Turn, Vehicle
 from insdvl.navigation.measurements.report import UpdateReport
@@ -46,7 +48,9 @@ from insdvl.navigation.state import (
 
 #: Layout of the state record, the same for every filter.
 LAYOUT = layout(
-    tuple(SENSORS), sum(size for group in SENSORS.values() for size in group.ROOM.values())
+    tuple(SENSORS),
+    sum(size for group in SENSORS.values() for size in group.ROOM.values()),
+    {"dvl_noise": source.FIELDS},
 )
 _NO_SAMPLES = np.empty((0, 6))
 _HEADING = ATTITUDE.stop - 1
@@ -113,6 +117,7 @@ class Filter:
             c["variance"][at], c["decay"][at] = np.square(block.std), 1.0 / block.time_constant
         self.models: dict[str, SensorModel[Any]] = {}
         self._gates: dict[str, Gate] = {}
+        self._noises: dict[str, MeasurementNoise] = {}
         self.configure(parameters)
 
     def configure(self, parameters: FilterParameters) -> None:
@@ -121,6 +126,11 @@ class Filter:
         for name, sensor in parameters.sensors.items():
             self.models[name] = sensor.model(self.vehicle)
             self._gates[name] = Gate(parameters.gate, name, self.models[name], self.vehicle)
+        self._noises = {
+            name: MeasurementNoise(name, model)
+            for name, model in self.models.items()
+            if model.noise_source != source.NOMINAL
+        }
 
     def _fill_constants(self) -> None:
         parameters, vehicle, c = self.parameters, self.vehicle, self.constants[0]
@@ -171,6 +181,8 @@ class Filter:
         wrong_heading.watch(s)
         self.process_noise.restart(s)
         shown.restart(s)
+        for noise in self._noises.values():
+            noise.start(s)
         for gate in self._gates.values():
             gate.start(s)
 
@@ -274,7 +286,7 @@ class Filter:
         if stamp_ns - int(memory["judged_ns"]) < model.interval_ns:
             return None
         reason = claims.refusal(memory, model, event)
-        turn, linearised = self._turn(state, w_ib_b, share), None
+        turn, linearised, at_rest = self._turn(state, w_ib_b, share), None, False
         if not s["nav"]["initialised"]:
             if not reason and (velocity := model.velocity(event, turn)) is not None:
                 self.start.hear_velocity(s, stamp_ns, *velocity)
@@ -284,20 +296,33 @@ class Filter:
         elif not reason or model.claims_rest(event):
             linearised = model.linearise(state, event, turn)
             if reason and zero_velocity.confirmed(s, self.vehicle, linearised, samples()):
-                reason = ""
+                reason, at_rest = "", True
         if reason or linearised is None:
             nan = np.full((model.rows, model.rows), np.nan)
             return UpdateReport(event.name, nan[0], nan, np.nan, False, reason)
+        for other in self._noises.values():
+            other.carry(s)
+        noise, nominal = None if at_rest else self._noises.get(event.name), linearised
+        if noise is not None:
+            linearised = noise.for_gate(s, event, nominal)
         now, accepted = gate.meet(state, stamp_ns, linearised)
         if not math.isfinite(now.nis):
             reason = "bad_covariance" if math.isnan(now.nis) else "not_finite"
             return self._report(event, now, False, reason)
+        attitude = s["nav"]["C_n_b"].copy()
         was, used = map_to_odom.before(s, self.vehicle, absolute=model.absolute), now
+        if noise is not None:
+            now = noise.predicted(s, event, nominal)
         if not accepted:
-            used, accepted, reason = gate.judge(state, stamp_ns, now, linearised.R)
+            used, accepted, reason = gate.judge(state, stamp_ns, used, linearised.R)
         report = self._report(event, now, accepted, reason)
         if report.corrected:
+            as_it_is = noise is not None and np.array_equal(used.R, linearised.R)
+            if noise is not None and as_it_is and not channels.in_doubt(s):
+                used = noise.learn(s, event, nominal, used)
             self._correct(state, event, turn, used)
+        for other in self._noises.values():
+            other.follow(s, attitude)
         map_to_odom.moved(state, self.vehicle, was)
         memory["judged_ns"] = stamp_ns
         return report

@@ -10,7 +10,7 @@ measurement's gate and for every block of optional error states, whatever is con
 compiled type depends on the configuration.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Any, TypeAlias
@@ -323,23 +323,27 @@ def gate_counter(measurement: str, name: str) -> str:
     return f"{measurement} {name}"
 
 
-def layout(measurements: Sequence[str], optional: int) -> Layout:
+def layout(
+    measurements: Sequence[str], optional: int, groups: Mapping[str, tuple[Field, ...]]
+) -> Layout:
     """Layout of the state record.
 
     Args:
         measurements: Names of all kinds of measurements.
         optional: Number of error states in all optional blocks together.
+        groups: Further groups of fields, which stand beside their users.
     """
     n = max(CORE + optional, PADDED)
-    groups = {
+    every = {
         "nav": _nav(n),
         "noise": _noise(n),
         "channels": _CHANNELS,
         "start": _START,
         "odom": _ODOM,
         "counters": _COUNTERS,
+        **groups,
     }
-    return Layout(groups, _GATE, tuple(measurements), n)
+    return Layout(every, _GATE, tuple(measurements), n)
 
 
 @cache

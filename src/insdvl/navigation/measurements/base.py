@@ -141,6 +141,8 @@ class SensorModel(ABC, Generic[_Event]):
         angles: Whether its rows are turns about the last axes of the stream, x, y, z.
         turn_window_ns: Time before it that its turn rate is taken from; 0 takes one sample.
         interval_ns: A measurement that follows the last judged one sooner is left out.
+        noise_source: Where the covariance of its noise comes from, see measurement_noise/.
+        noise_floor: Smallest sigma that an estimate of its noise may reach.
     """
 
     label: ClassVar[str]
@@ -150,6 +152,8 @@ class SensorModel(ABC, Generic[_Event]):
     angles: ClassVar[bool] = False
     turn_window_ns: int = 0
     interval_ns: int = 0
+    noise_source: str = "nominal"
+    noise_floor: float = 0.0
 
     @abstractmethod
     def reading(self, event: _Event) -> Array:
@@ -166,6 +170,10 @@ class SensorModel(ABC, Generic[_Event]):
             event: The measurement.
             past: What was read before it.
         """
+
+    def noise(self, event: _Event) -> Array:
+        """Nominal covariance (m, m) of the measurement's own noise, where `noise_source` is not."""
+        raise TypeError(f"{type(self).__name__} has no noise to estimate")
 
     def claims_rest(self, event: _Event) -> bool:
         """Whether what `refusal` refuses may be the zero velocity of a vehicle at rest."""

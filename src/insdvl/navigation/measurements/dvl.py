@@ -9,28 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl.arrays import Array, Records
-from insdvl.kernels import kernel
-from insdvl.navigation import coordinates, error_state
+from insdvl.navigation import coordinates
 from insdvl.navigation.error_state import (
     ACCELEROMETER_BIAS,
     ATTITUDE,
-    GYROSCOPE_BIAS,
     POSITION,
     VELOCITY,
 )
 from insdvl.navigation.events import MAX_SPEED, MAX_VARIANCE, NS, Limits, Measurement
 from insdvl.navigation.geometry.frames import rotation_from_rpy
-from insdvl.navigation.geometry.rotation import (
-    copy_matrix,
-    cross,
-    cross_matrix,
-    exponential,
-    product,
-    product_transposed,
-    rotate,
-    rotate_back,
-    skew,
-)
+from insdvl.navigation.geometry.rotation import cross_matrix
 from insdvl.navigation.measurements import claims, noise
 from insdvl.navigation.measurements.base import (
     Block,
@@ -41,9 +29,9 @@ from insdvl.navigation.measurements.base import (
     Turn,
     Vehicle,
 )
-from insdvl.navigation.prediction.strapdown import turn_rate
+from insdvl.navigation.measurements.dvl_jacobian import ABSENT, linearise
 from insdvl.navigation.start.automatic import UNKNOWN_SPEED
-from insdvl.navigation.state import CORE, Constants, State, Workspace
+from insdvl.navigation.state import State
 from insdvl.parameters.declaration import lever_arm, parameter, time_offset
 
 #: Most tilt, one sigma [rad], that an inflation takes for possible.
@@ -61,11 +49,6 @@ TYPES = (
     "interfaces/msg/BottomTrack",
     "interfaces/msg/WaterTrack",
 )
-
-# First elements of the blocks, for the kernel.
-_VELOCITY, _ATTITUDE, _GYROSCOPE_BIAS = VELOCITY.start, ATTITUDE.start, GYROSCOPE_BIAS.start
-#: Of optional error states that are not in use.
-_NONE = -1
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,11 +129,18 @@ class DvlParameters(SensorParameters):
         one_for_all=True,
         changeable=True,
     )
+    noise_source: str = parameter(
+        "nominal",
+        "Where the noise comes from: as dvl.covariance says; or that times a factor from the "
+        "innovations, guarded by the pings and the IMU between them (adaptive), or from those "
+        "alone (learned).",
+        choices=("nominal", "adaptive", "learned"),
+    )
     noise_floor: float = parameter(
         0.01,
-        "With covariance 'largest', the smallest sigma of a component that a message may tell. "
-        "Drivers tell the spread within one ping, or nothing that means anything; real errors are "
-        "rarely smaller.",
+        "The smallest sigma of a component that a message may tell with covariance 'largest', and "
+        "that a noise_source may reach. Drivers tell the spread within one ping, or nothing that "
+        "means anything; real errors are rarely smaller.",
         unit="m/s",
         low=0.0,
         high=10.0,
@@ -258,10 +248,11 @@ class DvlModel(SensorModel[Dvl]):
         self._R = np.diag(np.square(parameters.noise_std))
         # Of the first of the optional error states, for the kernel.
         self._error_at, self._mount_at = (
-            vehicle.blocks[block].start if block in vehicle.blocks else _NONE
+            vehicle.blocks[block].start if block in vehicle.blocks else ABSENT
             for block in ("dvl_error", "dvl_mount")
         )
         self.turn_window_ns = round(parameters.gyro_average * NS)
+        self.noise_source, self.noise_floor = parameters.noise_source, parameters.noise_floor
 
     def reading(self, event: Dvl) -> Array:
         """The velocity."""
@@ -317,7 +308,7 @@ class DvlModel(SensorModel[Dvl]):
         z_minus_h, H, R = np.array(event.v_d), np.zeros((3, vehicle.n)), np.empty((3, 3))
         records = state, vehicle.workspace, vehicle.constants
         of_dvl = self._C_d_b, self._l_b, self._error_at, self._mount_at, self.noise(event)
-        _linearise(*records, *of_dvl, turn.w_ib_b, turn.covariance, z_minus_h, H, R)
+        linearise(*records, *of_dvl, turn.w_ib_b, turn.covariance, z_minus_h, H, R)
         if not all(event.measured):
             _leave_out(~np.array(event.measured), state[0]["nav"]["P"], z_minus_h, H, R)
         return Linearised(z_minus_h, H, R)
@@ -393,90 +384,3 @@ def _leave_out(rows: NDArray[np.bool_], P: Array, z_minus_h: Array, H: Array, R:
     variance = np.diagonal(H @ P[:n, :n] @ H.T + R)[rows]
     z_minus_h[rows], H[rows], R[rows], R[:, rows] = 0.0, 0.0, 0.0, 0.0
     R[rows, rows] = variance
-
-
-@kernel
-def _linearise(
-    state: Records,
-    workspace: Records,
-    constants: Records,
-    C_d_b: Array,
-    l_b: Array,
-    error_at: int,
-    mount_at: int,
-    noise: Array,
-    w_ib_b: Array,
-    w_covariance: Array,
-    z_minus_h: Array,
-    H: Array,
-    R: Array,
-) -> None:
-    """Innovation, H and R of `DvlModel.linearise`; ``z_minus_h`` (3,) has z and becomes z - h."""
-    s, optional = state[0], state[0].nav.optional
-    C, h, arm = np.empty((3, 3)), np.empty(3), np.empty((3, 3))
-    copy_matrix(C, C_d_b)
-    J, M = np.empty((3, 3)), np.empty((3, 3))
-    if mount_at != _NONE:
-        # exp(-[m x]) turns by the mount that is estimated beside dvl.mount; J is its mean.
-        k = mount_at - CORE
-        exponential(M, J, -optional[k], -optional[k + 1], -optional[k + 2])
-        product(C, M, C_d_b)
-    _predict(s, workspace[0], constants[0], C, l_b, w_ib_b, h, H, arm)
-    if mount_at != _NONE:
-        h_x = np.empty((3, 3))
-        skew(h_x, h)
-        product(M, h_x, J)
-        error_state.set_block(H, 0, mount_at, 1.0, M)
-    for i in range(3):
-        z_minus_h[i] -= h[i]
-        if error_at != _NONE:
-            H[i, error_at + i] = 1.0
-            z_minus_h[i] -= optional[error_at - CORE + i]
-    product(M, arm, w_covariance)
-    product_transposed(J, M, arm)
-    for i in range(3):
-        for j in range(3):
-            R[i, j] = ((noise[i, j] + J[i, j]) + (noise[j, i] + J[j, i])) / 2.0
-
-
-@kernel
-def _predict(
-    s: State,
-    w: Workspace,
-    c: Constants,
-    C_d_b: Array,
-    l_b: Array,
-    w_ib_b: Array,
-    h: Array,
-    H: Array,
-    arm: Array,
-) -> None:
-    """h (3,) without the DVL's own error, and its Jacobian H (3, n) in the first 15 columns.
-
-    ``arm`` (3, 3) is C_d_b [l x], by which the turn rate counts.
-    """
-    nav = s.nav
-    M, N, a_x = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    rate, w_nb_b, v_b, v_l = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    for i in range(3):
-        rate[i] = w_ib_b[i] - nav.b_w[i]
-    turn_rate(w_nb_b, s, w, c, rate)
-    rotate_back(v_b, nav.C_n_b, nav.v_n)
-    cross(v_l, w_nb_b, l_b)
-    for i in range(3):
-        v_l[i] += v_b[i]
-    rotate(h, C_d_b, v_l)
-
-    product_transposed(M, C_d_b, nav.C_n_b)
-    error_state.set_block(H, 0, _VELOCITY, 1.0, M)
-    if not c.invariant:
-        skew(a_x, nav.v_n)
-        product(N, M, a_x)
-        error_state.set_block(H, 0, _ATTITUDE, 1.0, N)
-    skew(a_x, l_b)
-    product(arm, C_d_b, a_x)
-    error_state.set_block(H, 0, _GYROSCOPE_BIAS, 1.0, arm)
-    product_transposed(M, arm, nav.C_n_b)
-    skew(a_x, w.w_in_n)
-    product(N, M, a_x)
-    error_state.add_block(H, 0, _ATTITUDE, 1.0, N)

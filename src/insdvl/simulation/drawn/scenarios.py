@@ -17,7 +17,7 @@ from insdvl.simulation.drawn.imu_errors import ImuErrors, Line
 from insdvl.simulation.drawn.vibration import Vibration, drawn_sines
 from insdvl.simulation.drawn.waves import Sea, drawn_sea
 from insdvl.simulation.motion import Trajectory, Truth
-from insdvl.simulation.noise import NoiseProfile, ProfileFactory, segments
+from insdvl.simulation.noise import NoiseProfile, ProfileFactory, constant, segments
 from insdvl.simulation.sensors.dvl import DvlModel
 
 #: Range of the variances per sample of the white noise of an accelerometer [(m/s^2)^2].
@@ -42,6 +42,8 @@ TIME_CONSTANT = (0.3, 3.0)  # s
 FLICKER = (1e-4, 1e-3, 1.5e-6, 1.5e-5)  # bias instability: lowest, highest [m/s^2], then [rad/s]
 COUNTS = np.array([2e-4] * 3 + [2e-6] * 3)  # m/s and rad
 SCALE_FACTOR = (1e-4, 5e-4)  # sigma of errors of scale and alignment, accelerometers, gyroscopes
+#: Variances of a sample at 100 Hz of two grades of IMU (simulation/grades.py), f and w.
+FOG, TACTICAL = (2.40e-5, 7.62e-11), (9.62e-5, 8.46e-8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +135,8 @@ class Scenario:
         waves: Whether there are waves and steering.
         imperfect: Whether there are flicker, counts, and errors of scale and alignment, and a DVL
             whose noise depends on its surroundings.
+        grade: Variances of a sample of an IMU with white noise alone, f and w, in place of
+            ``white``; and a DVL whose white noise depends on its surroundings.
     """
 
     white: tuple[float, float] = WHITE
@@ -140,9 +144,12 @@ class Scenario:
     coloured: bool = False
     waves: bool = False
     imperfect: bool = False
+    grade: tuple[float, float] | None = None
 
     def profile(self) -> ProfileFactory:
         """The white noise."""
+        if self.grade is not None:
+            return constant(np.repeat(self.grade, 3))
         return _in_all_channels(self.white)
 
     def draw(self, duration: float, rate: float, rng: np.random.Generator) -> Disturbances:
@@ -162,8 +169,15 @@ class Scenario:
             imu=self._errors(duration, lines, coloured, imperfect),
             sea=drawn_sea(sea) if self.waves else None,
             vibration=shaken,
-            dvl=drawn_dvl_errors(duration, dvl) if self.imperfect else None,
+            dvl=self._dvl_errors(duration, dvl),
         )
+
+    def _dvl_errors(self, duration: float, rng: np.random.Generator) -> DvlErrors | None:
+        if self.imperfect:
+            return drawn_dvl_errors(duration, rng)
+        if self.grade is not None:
+            return replace(drawn_dvl_errors(duration, rng), correlated=0.0)
+        return None
 
     def _errors(
         self,
@@ -203,6 +217,8 @@ DRAWN: Mapping[str, Scenario] = MappingProxyType(
         "coloured": Scenario(white=WHITE_BESIDE_COLOURED, coloured=True),
         "waves": Scenario(waves=True),
         "realistic": Scenario(vibrating=True, coloured=True, waves=True, imperfect=True),
+        "bottom-fog": Scenario(grade=FOG),
+        "bottom-tactical": Scenario(grade=TACTICAL),
     }
 )
 

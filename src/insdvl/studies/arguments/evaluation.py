@@ -9,7 +9,7 @@ from insdvl.jobs.arguments import add_worker_options
 #: The names that the modules of the study define; a test holds that they are the same.
 SCENARIOS = (
     *("constant", "constant-tableI", "varying", "wide"),
-    *("vibrating", "coloured", "waves", "realistic"),
+    *("vibrating", "coloured", "waves", "realistic", "bottom-fog", "bottom-tactical"),
 )
 PRESETS = ("calibrated", "paper", "paper-no-walk")
 ROWS = (
@@ -36,6 +36,8 @@ ROWS = (
     "zero velocity",
     "perfect heading",
 )
+#: Rows that are not among all, and have to be asked for.
+R_ROWS = ("R nominal", "R adaptive", "R learned", "R oracle")
 ERROR_STATES = ("invariant", "ned")
 DURATION = 330  # s
 
@@ -71,11 +73,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="M/S",
         help="noise of the DVL, one sigma (default: 0.1)",
     )
+    parser.add_argument(
+        "--dvl-rate", type=float, default=1.0, metavar="HZ", help="pings per second (default: 1)"
+    )
+    parser.add_argument(
+        "--outliers",
+        type=float,
+        default=0.0,
+        metavar="P",
+        help="probability that a ping is off by 1 m/s (default: 0)",
+    )
+    parser.add_argument(
+        "--q-factor",
+        type=float,
+        default=1.0,
+        metavar="F",
+        help="factor on the Q that the rows of R are told, to see what a wrong Q does (default: 1)",
+    )
     parser.add_argument("--gate", action="store_true", help="use the chi-square gate")
     parser.add_argument(
         "--rows",
         metavar="NAME,NAME",
-        help=f"approaches to compare, separated by commas (default: all): {', '.join(ROWS)}",
+        help=f"approaches to compare, separated by commas (default: all): {', '.join(ROWS)}; "
+        f"and those that differ in the noise of the DVL: {', '.join(R_ROWS)}",
     )
     parser.add_argument(
         "--model",

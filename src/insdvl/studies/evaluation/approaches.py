@@ -5,7 +5,7 @@ chosen on seeds of their own: the best constant Q, the best innovation-adaptive 
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
 from typing import Any
@@ -98,6 +98,14 @@ ROWS = (
     ZERO_VELOCITY,
     PERFECT_HEADING,
 )
+#: Rows that differ in the noise of the DVL alone, by its source; they are told the effective Q.
+R_NOMINAL, R_ORACLE = "R nominal", "R oracle"
+R_SOURCES = {
+    R_NOMINAL: "nominal",
+    "R adaptive": "adaptive",
+    "R learned": "learned",
+    R_ORACLE: "nominal",
+}
 #: Rows that need no filter of their own: they follow from the truth and the result of the oracle.
 FLOORS = (ZERO_VELOCITY, PERFECT_HEADING)
 
@@ -124,11 +132,15 @@ class Approach:
         parameters: Parameters of the filter.
         q_source: The source of a received Q: the row of a learned model, of a closed form, or
             `ORACLE`; empty where the filter receives none.
+        told_r: Whether the filter receives the effective variances of the pings.
+        q_factor: On the variances that it receives.
     """
 
     name: str
     parameters: FilterParameters
     q_source: str = ""
+    told_r: bool = False
+    q_factor: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -140,12 +152,18 @@ class Setting:
         error_state: ``invariant`` or ``ned``; empty selects that of the preset.
         gate: Whether the chi-square gate is on.
         dvl_std: Noise of each component of a ping on the DVL's data sheet, one sigma [m/s].
+        dvl_rate: Pings per second.
+        outliers: Probability that a ping is off by 1 m/s.
+        q_factor: Of the rows of `R_SOURCES`, on the variances that they are told.
     """
 
     preset: str
     error_state: str = ""
     gate: bool = False
     dvl_std: float = 0.1
+    dvl_rate: float = 1.0
+    outliers: float = 0.0
+    q_factor: float = 1.0
 
     def filter(self, variances: Sequence[float] = FIRST, **values: Any) -> FilterParameters:
         """Parameters of a filter.
@@ -183,8 +201,13 @@ def approach(name: str, setting: Setting) -> Approach:
         return _adaptive(name, setting, FIRST, _LITERAL[name], "literal")
     if name in _FLOORED:
         return _adaptive(name, setting, FIRST, _FLOORED[name], "floored")
+    if name in R_SOURCES:
+        parameters = setting.filter(source="oracle")
+        dvl = replace(parameters.dvl, noise_source=R_SOURCES[name])
+        parameters = replace(parameters, dvl=dvl)
+        return Approach(name, parameters, ORACLE, name == R_ORACLE, setting.q_factor)
     source = "oracle" if name == ORACLE else "external"
-    return Approach(name, setting.filter(source=source), q_source=name)
+    return Approach(name, setting.filter(source=source), name, told_r=name == ORACLE)
 
 
 def _adaptive(

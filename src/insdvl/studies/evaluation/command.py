@@ -14,12 +14,21 @@ from insdvl.simulation.noise import SCENARIOS
 from insdvl.simulation.trajectories import AUV
 from insdvl.studies.arguments.evaluation import ERROR_STATES
 from insdvl.studies.evaluation import comparison, tables
-from insdvl.studies.evaluation.approaches import OWN_MODEL, PRESETS, ROWS, Setting, fingerprint
+from insdvl.studies.evaluation.approaches import (
+    OWN_MODEL,
+    PRESETS,
+    R_SOURCES,
+    ROWS,
+    Setting,
+    fingerprint,
+)
 from insdvl.studies.evaluation.comparison import Plan, compare
 from insdvl.studies.evaluation.options import check_names, check_numbers
 from insdvl.tuner.models import load_model
 
 EVALUATED = (*SCENARIOS, *DRAWN)
+#: Of the options that are numbers of the rows of R.
+_RANGES = {"dvl_rate": (0.1, 20.0), "outliers": (0.0, 0.5), "q_factor": (1e-6, 1e6)}
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -64,7 +73,8 @@ def _plan(arguments: argparse.Namespace) -> Plan:
     check_names("--preset", [arguments.preset], PRESETS)
     if arguments.error_state:
         check_names("--error-state", [arguments.error_state], ERROR_STATES)
-    check_names("--rows", rows, ROWS)
+    every = (*ROWS, *R_SOURCES)
+    check_names("--rows", rows, every)
     check_numbers(arguments)
     if not 1e-3 <= arguments.dvl_std <= 10.0:
         raise ValueError(f"--dvl-std must be within 0.001 to 10 m/s, got {arguments.dvl_std:g}")
@@ -72,13 +82,26 @@ def _plan(arguments: argparse.Namespace) -> Plan:
         raise ValueError(
             f"--duration must be within 10 to {AUV.duration:g} s, got {arguments.duration:g}"
         )
-    rows = tuple(row for row in ROWS if row in rows)
+    for name, (low, high) in _RANGES.items():
+        value = getattr(arguments, name)
+        if not low <= value <= high:
+            option = "--" + name.replace("_", "-")
+            raise ValueError(f"{option} must be within {low:g} to {high:g}, got {value:g}")
+    rows = tuple(row for row in every if row in rows)
     if arguments.model is not None:
         load_model(arguments.model)
         rows += (f"{OWN_MODEL}{arguments.model}",)
     return Plan(
         scenario=arguments.scenario,
-        setting=Setting(arguments.preset, arguments.error_state, arguments.gate, arguments.dvl_std),
+        setting=Setting(
+            arguments.preset,
+            arguments.error_state,
+            arguments.gate,
+            arguments.dvl_std,
+            arguments.dvl_rate,
+            arguments.outliers,
+            arguments.q_factor,
+        ),
         runs=arguments.runs,
         tuning_runs=arguments.tuning_runs,
         seed=arguments.seed,

@@ -18,6 +18,8 @@ from insdvl.studies.evaluation.approaches import (
     FIRST_CONSTANT,
     FLOORS,
     ORACLE,
+    R_NOMINAL,
+    R_ORACLE,
     ROWS,
     VARIATIONAL,
     Approach,
@@ -80,7 +82,9 @@ def compare(plan: Plan, pool: Pool, store: Store | None = None) -> Comparison:
     """Do the searches, fold all runs and summarise them."""
     omitted = unavailable(plan.rows)
     rows = [row for row in plan.rows if row not in omitted]
-    study = Study(plan.scenario, plan.seed, plan.duration, plan.setting.dvl_std)
+    setting = plan.setting
+    of_dvl = setting.dvl_std, setting.dvl_rate, setting.outliers
+    study = Study(plan.scenario, plan.seed, plan.duration, *of_dvl)
     approaches, searches = _approaches(rows, plan, study, pool, store)
 
     results = pool.compute(
@@ -205,6 +209,8 @@ def summary(scores: Mapping[str, Array], rng: np.random.Generator) -> dict[str, 
         label: row
         for label, row in (
             ("oracle", ORACLE),
+            ("R oracle", R_ORACLE),
+            ("R nominal", R_NOMINAL),
             ("best constant", BEST_CONSTANT),
             ("best constant for SRMSE", BEST_CONSTANT_SRMSE),
             ("first constant", FIRST_CONSTANT),

@@ -75,6 +75,7 @@ METRICS = (
 #: each with the variance in the filter's covariance.
 SERIES = ("body_velocity", "body_velocity_variance", "heading", "heading_variance")
 
+OUTLIER = 1.0  # m/s
 FAILURE_SPEED = 5.0  # m/s; a larger body velocity error for FAILURE_TIME is a failure
 FAILURE_TIME = 10.0  # s
 RATE, MAX_GAP = 1.0, 0.1  # Hz, s; defaults of the tuner
@@ -90,12 +91,16 @@ class Study:
         seed: Random seed of all runs.
         duration: Length [s], at most that of the trajectory; None for the whole trajectory.
         dvl_std: Noise of each component of a ping on the DVL's data sheet, one sigma [m/s].
+        dvl_rate: Pings per second.
+        outliers: Probability that a ping is off by `OUTLIER`.
     """
 
     scenario: str
     seed: int
     duration: float | None = None
     dvl_std: float = 0.1
+    dvl_rate: float = 1.0
+    outliers: float = 0.0
 
 
 def numbered(runs: int) -> dict[str, int]:
@@ -106,7 +111,12 @@ def numbered(runs: int) -> dict[str, int]:
 def mission_of_run(study: Study, split: int, run: int) -> Mission:
     """The mission of a run, the same for all approaches."""
     stream = np.random.SeedSequence(study.seed, spawn_key=(split, run))
-    dvl = DvlModel(noise_std=(study.dvl_std,) * 3)
+    dvl = DvlModel(
+        rate=study.dvl_rate,
+        noise_std=(study.dvl_std,) * 3,
+        outlier_probability=study.outliers,
+        outlier_size=OUTLIER,
+    )
     return simulate(AUV, PROFILES[study.scenario], seed=stream, duration=study.duration, dvl=dvl)
 
 
@@ -138,10 +148,12 @@ class Run:
             return self.fold_received(approach.parameters, np.empty(0, np.int64), np.empty((0, 6)))
         if approach.q_source not in self._received:
             self._received[approach.q_source] = self._variances(approach.q_source)
+        stamps_ns, variances = self._received[approach.q_source]
         return self.fold_received(
             approach.parameters,
-            *self._received[approach.q_source],
-            told_r=approach.q_source == ORACLE,
+            stamps_ns,
+            approach.q_factor * variances,
+            told_r=approach.told_r,
         )
 
     def fold_received(

@@ -26,6 +26,8 @@ _RATIOS = (
     ("first constant", "body_rmse"),
     ("first constant", "srmse"),
     ("closed form", "body_rmse"),
+    ("R oracle", "body_rmse"),
+    ("R nominal", "body_rmse"),
 )
 _WORDS = {"body_rmse": "body velocity", "srmse": "SRMSE"}
 

@@ -1,0 +1,229 @@
+"""The estimated noise of a velocity sensor, on the state record.
+
+The record holds two beliefs about the factor on the nominal covariance, one that changes slowly and
+one that changes quickly, the last pings, the squares of the window and the correlation of the
+innovations. Only a measurement that the gate takes as it is teaches: not one that is refused,
+doubted, used softly, or taken for a vehicle at rest, nor one beside an IMU that is in doubt.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from insdvl.arrays import Array
+from insdvl.navigation import kalman
+from insdvl.navigation.error_state import VELOCITY
+from insdvl.navigation.events import NS, Measurement
+from insdvl.navigation.geometry.earth import gravity
+from insdvl.navigation.kalman import Innovated
+from insdvl.navigation.measurement_noise import guard, recursion, window
+from insdvl.navigation.measurement_noise.guard import Correlation
+from insdvl.navigation.measurement_noise.recursion import Belief
+from insdvl.navigation.measurements.base import Linearised, SensorModel
+from insdvl.navigation.state import COUNT, NEVER, NUMBER, STAMP, Field, State
+
+#: Sources of a sensor's noise, its parameter ``noise_source``.
+NOMINAL, LEARNED = "nominal", "learned"
+
+#: Memory of the two beliefs [s], and fewest measurements that each remembers.
+STEADY, QUICK = (6.0, 8.0), (1.0, 2.0)
+#: The steady belief becomes the quick one where that differs by this factor: the noise has changed.
+CHANGED = 2.5
+#: After so long [s] without a measurement a belief weighs no more than a prior.
+PAUSE = 10.0
+#: Largest factor on the nominal covariance; least and largest by which the gate judges.
+LARGEST, LEAST_FOR_GATE, LARGEST_FOR_GATE = 100.0, 4.0, 9.0
+#: Smallest factor, where there is no floor.
+SMALLEST = 1e-4
+
+#: The group of the state record.
+FIELDS = (
+    Field("factor", NUMBER),  # on the nominal covariance, in effect; 0 before there is any
+    # Beliefs, see recursion.py, and stamp of the last measurement that has taught
+    Field("steady_shape", NUMBER),
+    Field("steady_scale", NUMBER),
+    Field("quick_shape", NUMBER),
+    Field("quick_scale", NUMBER),
+    Field("learned_ns", STAMP),
+    # The last pings, the newest first: velocity at the IMU, carried forward, and covariance of
+    # their noise, NED; their stamps; and the velocity of the state that they were carried to
+    Field("pings", NUMBER, (window.PAST, 3)),
+    Field("covariances", NUMBER, (window.PAST, 3, 3)),
+    Field("pings_ns", STAMP, (window.PAST,)),
+    Field("v_n", NUMBER, (3,)),
+    Field("carried_ns", STAMP),
+    # Squares of the third differences, and how many there have been
+    Field("squares", NUMBER, (window.SIZE,)),
+    Field("square_count", COUNT),
+    # Correlation of the innovations, see guard.py, and the last one in sigma
+    Field("product", NUMBER),
+    Field("square", NUMBER),
+    Field("pairs", COUNT),
+    Field("innovation", NUMBER, (3,)),
+)
+
+
+class MeasurementNoise:
+    """Estimates the noise of one velocity sensor.
+
+    Args:
+        name: Of its measurements.
+        model: Of the sensor.
+    """
+
+    def __init__(self, name: str, model: SensorModel[Any]) -> None:
+        self._group = f"{name}_noise"
+        self._model = model
+        self._learned = model.noise_source == LEARNED
+
+    def start(self, s: State) -> None:
+        """Nothing is known; the nominal noise is expected."""
+        m = s[self._group]
+        for field in FIELDS:
+            m[field.name] = NEVER if field.holds == STAMP else 0
+        m["factor"] = 1.0
+        for name in ("steady", "quick"):
+            m[f"{name}_shape"] = m[f"{name}_scale"] = recursion.PRIOR
+
+    # ---------------------------------------------------------------- the pings, carried by the IMU
+
+    def carry(self, s: State) -> None:
+        """Carry the pings forward to the state, before any measurement corrects it.
+
+        By the specific force alone: a constant gravity is a line in time, which the third
+        difference does not have.
+        """
+        m, nav = s[self._group], s["nav"]
+        if m["factor"] == 0.0:  # a state from a filter that did not estimate it
+            self.start(s)
+        time_ns, carried_ns = int(nav["time_ns"]), int(m["carried_ns"])
+        if carried_ns not in (NEVER, time_ns):
+            fell = np.array([0.0, 0.0, gravity(nav["llh"][0], nav["llh"][2])])
+            m["pings"] += nav["v_n"] - m["v_n"] - fell * ((time_ns - carried_ns) / NS)
+        m["v_n"], m["carried_ns"] = nav["v_n"], time_ns
+
+    def follow(self, s: State, C_n_b: Array) -> None:
+        """Turn the pings with a correction of the state, whose attitude was C_n_b (3, 3) before."""
+        m, nav = s[self._group], s["nav"]
+        m["pings"] = m["pings"] @ (nav["C_n_b"] @ C_n_b.T).T
+        m["v_n"] = nav["v_n"]
+
+    # ---------------------------------------------------------------- R
+
+    def for_gate(self, s: State, event: Measurement, nominal: Linearised) -> Linearised:
+        """The measurement by whose R the gate judges: 2 to 3 times the nominal sigma.
+
+        A gate that went by a small estimate would refuse the first measurements above a worse
+        bottom, and never learn of it; one that went by a large one would let a fault pass.
+        """
+        factor = min(max(self._expected(s, event), LEAST_FOR_GATE), LARGEST_FOR_GATE)
+        return nominal._replace(R=self._scaled(event, nominal, factor))
+
+    def predicted(self, s: State, event: Measurement, nominal: Linearised) -> Innovated:
+        """The measurement against its prediction, by what was learned before it."""
+        R = self._scaled(event, nominal, self._expected(s, event))
+        return kalman.innovate(s["nav"]["P"], nominal.z_minus_h, nominal.H, R)
+
+    def learn(self, s: State, event: Measurement, nominal: Linearised, now: Innovated) -> Innovated:
+        """Learn from a measurement, to which the pings were carried.
+
+        Args:
+            s: State at the measurement.
+            event: The measurement.
+            nominal: The same, with its nominal R.
+            now: The same, as the gate has taken it.
+
+        Returns:
+            The measurement with the R that is known with it.
+        """
+        factor = self._factor(s, event, nominal, now)
+        R = self._scaled(event, nominal, factor)
+        return kalman.innovate(s["nav"]["P"], now.innovation, now.H, R)
+
+    def _scaled(self, event: Measurement, nominal: Linearised, factor: float) -> Array:
+        """R with a factor on the measurement's own noise, where it was measured."""
+        measured = nominal.H.any(axis=1)
+        own = np.where(np.outer(measured, measured), self._model.noise(event), 0.0)
+        return nominal.R + (factor - 1.0) * own
+
+    def _expected(self, s: State, event: Measurement) -> float:
+        return max(float(s[self._group]["factor"]), self._smallest(self._model.noise(event)))
+
+    def _smallest(self, R_0: Array) -> float:
+        """Smallest factor on a nominal covariance (m, m) that the floor allows."""
+        variances = np.diagonal(R_0)
+        if not variances.all():
+            return 1.0
+        return min(max(float(np.max(self._model.noise_floor**2 / variances)), SMALLEST), LARGEST)
+
+    def _factor(self, s: State, event: Measurement, nominal: Linearised, now: Innovated) -> float:
+        m, stamp_ns, measured = s[self._group], event.stamp_ns, now.measured
+        R_0, rows = self._model.noise(event), np.ix_(measured, measured)
+        own, other = R_0[rows], (nominal.R - R_0)[rows]
+        M = (now.S - now.R)[rows] + other
+        innovation = recursion.whitened(now.innovation[measured], M, own)
+        if innovation is None:
+            return self._expected(s, event)
+        if measured.all():
+            self._compare(m, stamp_ns, now, R_0)
+        low = self._smallest(R_0)
+        of_window = window.mean_factor(m["squares"], int(m["square_count"]))
+        least, most = low, LARGEST
+        if of_window is not None:
+            least = min(max(guard.LEAST * of_window, low), LARGEST)
+            most = max(min(guard.MOST * of_window, LARGEST), least)
+        of_innovations = self._believe(m, stamp_ns, innovation, least, most)
+        factor = min(max(1.0 if of_window is None else of_window, low), LARGEST)
+        told = Correlation(float(m["product"]), float(m["square"]), int(m["pairs"]))
+        if not self._learned:
+            factor = guard.between(of_innovations, factor, guard.doubt(told, int(measured.sum())))
+        if measured.all():
+            self._correlate(m, stamp_ns, now.innovation, np.diagonal(M + factor * own), told)
+        m["factor"], m["learned_ns"] = factor, stamp_ns
+        return factor
+
+    def _compare(self, m: State, stamp_ns: int, now: Innovated, R_0: Array) -> None:
+        """The ping joins the last ones, and their third difference the window."""
+        C_d_n = now.H[:, VELOCITY]
+        ping = C_d_n.T @ now.innovation + m["v_n"]
+        stamps = np.concatenate([m["pings_ns"][::-1], [stamp_ns]])
+        velocities = np.concatenate([m["pings"][::-1], ping[None]])
+        covariances = np.concatenate([m["covariances"][::-1], (C_d_n.T @ R_0 @ C_d_n)[None]])
+        if stamps[0] != NEVER and stamp_ns - stamps[0] <= window.LONGEST * NS:
+            square = window.difference_square(stamps, velocities, covariances)
+            if np.isfinite(square):
+                m["squares"][int(m["square_count"]) % window.SIZE] = square
+                m["square_count"] += 1
+        m["pings_ns"], m["pings"] = stamps[:0:-1], velocities[:0:-1]
+        m["covariances"] = covariances[:0:-1]
+
+    @staticmethod
+    def _believe(
+        m: State, stamp_ns: int, innovation: recursion.Whitened, least: float, most: float
+    ) -> float:
+        """Both beliefs learn from an innovation; returns the factor of the steady one."""
+        since = (stamp_ns - int(m["learned_ns"])) / NS if m["learned_ns"] != NEVER else 0.0
+        beliefs = []
+        for name, memory in (("quick", QUICK), ("steady", STEADY)):
+            belief = Belief(float(m[f"{name}_shape"]), float(m[f"{name}_scale"]))
+            if since > PAUSE and belief.shape > recursion.PRIOR:
+                belief = Belief(recursion.PRIOR, recursion.PRIOR * belief.factor)
+            elif since > 0.0:
+                belief = recursion.forgotten(belief, since, *memory)
+            beliefs.append(recursion.learned(belief, innovation, least, most))
+        quick, steady = beliefs
+        if not 1.0 / CHANGED <= quick.factor / steady.factor <= CHANGED:
+            steady = quick
+        for name, belief in (("quick", quick), ("steady", steady)):
+            m[f"{name}_shape"], m[f"{name}_scale"] = belief
+        return steady.factor
+
+    @staticmethod
+    def _correlate(
+        m: State, stamp_ns: int, innovation: Array, variances: Array, told: Correlation
+    ) -> None:
+        """The innovation is compared with the one before it, where that is near."""
+        now = guard.normalised(innovation, variances)
+        if m["learned_ns"] != NEVER and stamp_ns - int(m["learned_ns"]) <= PAUSE * NS:
+            m["product"], m["square"], m["pairs"] = guard.followed(told, m["innovation"], now)
+        m["innovation"] = now
