@@ -129,7 +129,9 @@ def test_where_the_product_is_small_the_update_is_linear() -> None:
 
         at = relinearise()
         now = kalman.innovate(s[0]["nav"]["P"], at.z_minus_h, at.H, at.R)
-        kalman.correct(s, filter_.constants, now, relinearise, iterate=iterate)
+        kalman.correct(
+            s, filter_.constants, now, relinearise, filter_.vehicle.workspace, iterate=iterate
+        )
     assert state.tobytes() == once.tobytes()
 
 
