@@ -46,7 +46,8 @@ class Bench(Graph):
         return keep
 
     def give(self, topic: str, message: Any) -> None:
-        self.tested.inputs[topic].callback(message)
+        subscription = self.tested.inputs[topic]
+        subscription.callback(serialize_message(message) if subscription.raw else message)
 
     def messages(self, topic: str, kind: Any) -> list[Any]:
         return [deserialize_message(data, kind) for data in self.published[topic]]
