@@ -47,7 +47,9 @@ class Bench(Graph):
 
     def give(self, topic: str, message: Any) -> None:
         subscription = self.tested.inputs[topic]
-        subscription.callback(serialize_message(message) if subscription.raw else message)
+        if subscription.raw and not isinstance(message, bytes):
+            message = serialize_message(message)
+        subscription.callback(message)
 
     def messages(self, topic: str, kind: Any) -> list[Any]:
         return [deserialize_message(data, kind) for data in self.published[topic]]
