@@ -16,7 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = examples(
         "train --preset default --out models",
         "train --preset paper --window 100 --seed 3 --jobs 2",
-        "train --preset bands --quick --out /tmp/models",
+        "train --preset bands --quick --out models",
     )
     parser.add_argument(
         "--preset",

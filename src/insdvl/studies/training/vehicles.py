@@ -31,7 +31,7 @@ from insdvl.tuner.windows import CHANNELS
 KINDS: dict[str, Scenario | ProfileFactory] = {
     "white": Scenario(),
     "wide": SCENARIOS["wide"],
-    **DRAWN,
+    **{name: DRAWN[name] for name in ("vibrating", "coloured", "waves", "realistic")},
 }
 DVL_STD = (0.02, 0.1)  # m/s, drawn log-uniformly
 DVL_RATES = (1.0, 5.0)  # Hz

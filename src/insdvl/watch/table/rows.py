@@ -78,7 +78,7 @@ def _speed(shown: Shown, width: int) -> str:
     v, sigma = shown.pose.velocity, shown.pose.velocity_sigma
     speed = float(np.linalg.norm(v))
     # Along the velocity; at rest, that of the worst axis.
-    along = math.sqrt(float(np.sum((v * sigma) ** 2))) / speed if speed > 0.0 else max(sigma)
+    along = math.hypot(*(v / speed * sigma)) if speed > 0.0 else max(sigma)
     return with_sigma([speed], [along])
 
 
