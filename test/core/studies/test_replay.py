@@ -16,6 +16,7 @@ from records import fields
 from whole import States, Whole, fold_whole
 
 from insdvl import cli
+from insdvl.arrays import Array, Stamps
 from insdvl.messages.refusals import Refused
 from insdvl.navigation import coordinates
 from insdvl.navigation.error_state import ATTITUDE, POSITION
@@ -33,13 +34,15 @@ from insdvl.recordings.played import Listed
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import SCENARIOS, constant
 from insdvl.simulation.trajectories import BASELINE
-from insdvl.studies.evaluation.metrics import autocorrelation, normalised_innovations
+from insdvl.studies.evaluation.metrics import Track, autocorrelation, normalised_innovations
 from insdvl.studies.replay import fold as replay
 from insdvl.studies.replay.fold import fold_recording, read
 from insdvl.studies.replay.inputs.injection import Injected, Injection
 from insdvl.studies.replay.inputs.learning import Learned
+from insdvl.studies.replay.reference import Reference
 from insdvl.studies.replay.result import Output
-from insdvl.studies.replay.scores import report, states_at
+from insdvl.studies.replay.scores import report
+from insdvl.timeline.output import FoldResult
 from insdvl.timeline.recorded import fold_arrays
 from insdvl.tuner.parameters import TunerParameters
 from insdvl.tuner.tuner import Tuner
@@ -302,6 +305,14 @@ def test_the_mean_nis_is_over_all_measurements_that_were_judged(
     assert numbers["nis_mean"] == pytest.approx(np.mean(judged))
     assert numbers["nis_mean_accepted"] == pytest.approx(np.mean(accepted))
     assert numbers["nis_mean"] > 2.0 * numbers["nis_mean_accepted"]
+
+
+def states_at(fold: FoldResult, stamps_ns: Stamps) -> tuple[Track, Array]:
+    """States at stamps (M,) of a reference, and sigmas (M, 6) of v_b and position."""
+    none = np.zeros((len(stamps_ns), 3))
+    reference = Reference(stamps_ns, Track(np.zeros((len(stamps_ns), 3, 3)), none, none))
+    reference.take(fold.filter, fold.states)
+    return reference.result.track, reference.result.sigma
 
 
 def test_a_reference_between_stamps_of_the_imu_is_met_between_them() -> None:

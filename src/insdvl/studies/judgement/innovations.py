@@ -10,12 +10,13 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.special import gammaincinv, ndtri
+from scipy.special import ndtri
 
 from insdvl.arrays import Array
+from insdvl.navigation.gate.chi_square import exceeded
 from insdvl.navigation.measurements.report import UpdateReport
 from insdvl.studies.evaluation.metrics import autocorrelation, normalised_innovations
-from insdvl.watch.consistency import nis_median, scaled_nis
+from insdvl.watch.consistency import nis_interval, nis_median, scaled_nis
 
 #: Probability of a false alarm of each rule.
 CHANCE = 1e-3
@@ -29,11 +30,7 @@ FEWEST = 30
 
 def mean_nis_bounds(rows: int, count: int) -> tuple[float, float]:
     """Bounds of the mean of so many NIS of m rows: their sum is chi-square with m times as many."""
-    dof = rows * count
-    low, high = (
-        2.0 * float(gammaincinv(dof / 2.0, p)) / count for p in (CHANCE / 2.0, 1.0 - CHANCE / 2.0)
-    )
-    return low, high
+    return nis_interval(rows, count, 1.0 - CHANCE)
 
 
 def median_nis_bounds(rows: int, count: int) -> tuple[float, float]:
@@ -43,8 +40,7 @@ def median_nis_bounds(rows: int, count: int) -> tuple[float, float]:
     quantiles that are half of SIGMAS / sqrt(n) off the middle.
     """
     width = SIGMAS / (2.0 * math.sqrt(count))
-    low, high = (2.0 * float(gammaincinv(rows / 2.0, p)) for p in (0.5 - width, 0.5 + width))
-    return low, high
+    return exceeded(rows, 0.5 + width), exceeded(rows, 0.5 - width)
 
 
 def judged_of(reports: Sequence[UpdateReport]) -> list[UpdateReport]:

@@ -9,9 +9,9 @@ from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import gammaincinv
 
 from insdvl.navigation.events import NS, Event
+from insdvl.navigation.gate.chi_square import exceeded
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.studies.judgement.innovations import mean_nis_bounds
@@ -88,7 +88,7 @@ def predictions(
         nis_mean=float(nis.mean()),
         nis_bounds=mean_nis_bounds(rows, count),
         log_likelihood=float(log_likelihood.mean()),
-        covered=float(np.mean(nis <= 2.0 * gammaincinv(rows / 2.0, REGION))),
+        covered=float(np.mean(nis <= exceeded(rows, 1.0 - REGION))),
     )
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from insdvl.arrays import Array, Stamps
+from insdvl.arrays import Stamps
 from insdvl.files import finite
 from insdvl.messages.topics import IMU
 from insdvl.navigation.events import NS
@@ -27,19 +27,6 @@ from insdvl.watch.start import large_biases, report_of_start
 
 DVL = Dvl.name
 LAGS = 10  # of the autocorrelation
-
-
-def states_at(fold: FoldResult, stamps_ns: Stamps) -> tuple[Track, Array]:
-    """The state at some stamps, in the axes of the stream, and sigmas (M, 6) of v_b and position.
-
-    Args:
-        fold: The result, with the states at all samples.
-        stamps_ns: (M,) stamps from the first to the last initialised state.
-    """
-    none = np.zeros((len(stamps_ns), 3))
-    reference = Reference(stamps_ns, Track(np.zeros((len(stamps_ns), 3, 3)), none, none))
-    reference.take(fold.filter, fold.states)
-    return reference.result.track, reference.result.sigma
 
 
 def errors_of(fold: FoldResult, stamps_ns: Stamps, truth: Track) -> dict[str, Any]:

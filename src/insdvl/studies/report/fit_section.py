@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaincinv
 
 from insdvl.arrays import Array
+from insdvl.navigation.gate.chi_square import exceeded
 from insdvl.studies.report import figures as f
 from insdvl.studies.report.figures import Figure
 from insdvl.studies.report.parts import Part
@@ -69,7 +69,7 @@ def _nis(t: Array, updates: Updates, judged: NDArray[np.bool_], name: str) -> Fi
     count = max(len(nis) // 30, 10)
     kernel = np.ones(count)
     running = np.convolve(nis, kernel, "same") / np.convolve(np.ones(len(nis)), kernel, "same")
-    bound = 2.0 * float(gammaincinv(rows / 2.0, 0.999))
+    bound = exceeded(rows, 0.001)
     traces = [
         f.dots(t, np.maximum(nis, 1e-3), "NIS", f.GREY, marker={"opacity": 0.45}),
         f.line(t, running, f"mean of {count}", f.BLUE, line={"width": 2.5}),

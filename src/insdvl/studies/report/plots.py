@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.special import gammaincinv
 
 from insdvl.arrays import Array
 from insdvl.extras import extra
 from insdvl.files import write
+from insdvl.navigation.gate.chi_square import exceeded
 from insdvl.studies.evaluation.metrics import Track
 from insdvl.studies.report import figures
 from insdvl.studies.report.results import Result as StoredResult
@@ -336,9 +336,7 @@ def _nis(axes: Axes, result: StoredResult, updates: Updates) -> None:
             label=label,
         )
     axes.axhline(rows, color=figures.GREEN, linewidth=1.0, linestyle="--")
-    axes.axhline(
-        2.0 * float(gammaincinv(rows / 2.0, 0.999)), color=figures.RED, linewidth=1.0, ls="--"
-    )
+    axes.axhline(exceeded(rows, 0.001), color=figures.RED, linewidth=1.0, ls="--")
     axes.set_yscale("log")
     axes.set_ylabel("DVL NIS", fontsize=9)
     axes.legend(loc="upper right", ncols=2, fontsize=8, frameon=False)
