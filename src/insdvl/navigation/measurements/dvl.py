@@ -337,7 +337,7 @@ class DvlModel(SensorModel[Dvl]):
 
     def in_stream(self, innovation: Array, S: Array) -> tuple[Array, Array]:
         """Velocities, in the body axes of the stream's convention."""
-        signs = np.diagonal(self._vehicle.axes.body)  # a rotation would make nan of infinity
+        signs = self._vehicle.axes.signs  # a rotation would make nan of infinity
         return signs * innovation, signs[:, None] * S * signs
 
     def drift(self, s: State, seconds: float) -> Array:
