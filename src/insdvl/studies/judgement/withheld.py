@@ -101,16 +101,16 @@ def of_curvature(S: Array, seconds: float) -> Array:
     """What a large tilt adds to the NIS of a filter that is as good as it says (K,).
 
     A filter is linear in the tilt, and gravity is not: by its cosine a tilt of variance q t about
-    each level axis lowers the velocity by g q t^2 / 2 on average, and by twice the square of that
-    in the mean square. The level velocity shows q: its variance is g^2 q t^3 / 3.
+    each level axis changes the vertical velocity by g q t^2 / 2 on average, and by 5/3 of the
+    square of that in the mean square. The level velocity shows q: its variance is g^2 q t^3 / 3.
 
     Args:
         S: (K, 3, 3) covariances of the innovations [(m/s)^2].
         seconds: Since the last measurement.
     """
     variances = np.linalg.eigvalsh(S)
-    lower = 1.5 * variances[:, -1] / (GRAVITY * seconds)
-    return np.asarray(2.0 * lower**2 / variances[:, 0])
+    falls = 1.5 * variances[:, -1] / (GRAVITY * seconds)
+    return np.asarray(5.0 / 3.0 * falls**2 / variances[:, 0])
 
 
 def _chosen(events: list[Event], used: set[int], seconds: float) -> tuple[list[Event], set[int]]:

@@ -286,9 +286,7 @@ class Search:
         }
 
         def cost(cause: Cause | Miswired, excess: float) -> float:
-            fit = fits[cause]
-            speed = math.sqrt(square) * math.exp(-fit.values[SCALE])
-            return fit.cost(noises[cause], excess) + cause.penalty + (speed / SPEED) ** 2
+            return fits[cause].cost(noises[cause], excess) + cause.penalty
 
         turns = {cause: self._turn(cause, fit) for cause, fit in fits.items()}
         bounds = {
@@ -307,7 +305,8 @@ class Search:
 
         def bounded(cause: Cause | Miswired, excess: float) -> float:
             lowest = [cost(other, excess) - most / excess for other, most in bounds[cause]]
-            return max([cost(cause, excess), *lowest])
+            speed = math.sqrt(square) * math.exp(-fits[cause].values[SCALE])
+            return max([cost(cause, excess), *lowest]) + (speed / SPEED) ** 2
 
         best = min(fits, key=lambda cause: bounded(cause, 1.0))
         excess = noises[best].excess
