@@ -107,7 +107,7 @@ def test_the_curvature_of_gravity_is_as_large_as_a_tilt_that_walks_makes_it() ->
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("scenario", ["constant", "varying", "wide", "vibrating", "coloured"])
+@pytest.mark.parametrize("scenario", ["constant", "varying", "wide", "vibrating"])
 @pytest.mark.parametrize("seed", [9, 10, 11])
 def test_sensors_that_tell_the_truth_are_not_accused(scenario: str, seed: int) -> None:
     """By the noise that the tuner learns, with the gate, on the track of the evaluation."""

@@ -43,9 +43,6 @@ def recording_faults(arguments: argparse.Namespace) -> Iterator[str]:
     for path in getattr(arguments, "config", None) or []:
         if not path.exists():
             yield f"--config {path} does not exist"
-    for rule in getattr(arguments, "set", []):
-        if "=" not in rule:
-            yield f"--set {rule}: it must be NAME=VALUE"
 
 
 def taken(option: str, path: Path | None) -> Iterator[str]:

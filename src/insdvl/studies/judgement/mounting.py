@@ -19,6 +19,7 @@ from insdvl.navigation.geometry.frames import rotation_from_rpy, rpy_from_rotati
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.studies.judgement.added_noise import noisier
+from insdvl.studies.judgement.innovations import variance_of_sum
 from insdvl.studies.replay.taken import MOST, Taken
 
 #: The samples of the IMU are averaged over so long [s]: a vehicle that turns by 20 deg/s turns by a
@@ -242,21 +243,8 @@ def _sums(part: Taken, parameters: FilterParameters, unknowns: Sequence[Unknown]
         gradient = float(np.einsum("ki,kij,kj->", g, weights, nu))
         left = nu - gradient / information * g
         of_left = np.einsum("ki,kij,kj->k", g, weights, left)
-        found.append((information, gradient, max(power * information, _variance_of_sum(of_left))))
+        found.append((information, gradient, max(power * information, variance_of_sum(of_left))))
     return Sums(*np.array(found).T)
-
-
-def _variance_of_sum(values: Array) -> float:
-    """Variance of a sum whose terms differ in size and are correlated with near ones.
-
-    Newey and West, A simple, positive semi-definite, heteroskedasticity and autocorrelation
-    consistent covariance matrix, Econometrica 55 (1987).
-    """
-    lags = int(4.0 * (len(values) / 100.0) ** (2.0 / 9.0))
-    total = float(values @ values)
-    for lag in range(1, lags + 1):
-        total += 2.0 * (1.0 - lag / (lags + 1.0)) * float(values[lag:] @ values[:-lag])
-    return total
 
 
 def _innovations(
