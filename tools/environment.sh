@@ -24,7 +24,7 @@ stop() {
 pip="$folder/bin/python -m pip install --quiet --disable-pip-version-check --no-build-isolation --constraint $folder/constraints.txt"
 why="The packages could not be installed: pip says why above (the first set-up needs the network)."
 if [ -n "${MORE-}" ]; then
-    echo "Set-up: the packages of tests and studies go into $folder (once; about 300 MB)."
+    echo "Set-up: the packages of tests and studies go into $folder (once; about 250 MB)."
     $pip --requirement requirements-test.txt || stop "$why"
     exit
 fi
@@ -90,7 +90,7 @@ if [ -n "${CORE-}" ]; then
     size="the core with its packages go into $folder (once; about 700 MB"
 else
     what="--requirement requirements.txt"
-    size="the ROS 2 wheels go into $folder (once; about 800 MB"
+    size="the ROS 2 wheels go into $folder (once; about 850 MB"
 fi
 echo "Set-up: $("$python" --version) ($python) and $size, a few minutes)."
 rm -rf "$folder"

@@ -15,11 +15,13 @@ from insdvl.parameters.settings import load_set, settings
 from insdvl.recordings.bag_reader import BagReader
 from insdvl.recordings.parameters import ReplayParameters
 from insdvl.studies.check.answers import answers
-from insdvl.studies.check.findings import is_usable
+from insdvl.studies.check.findings import FILTER, REPLAY, is_usable
 from insdvl.studies.check.inspection import Inspection, inspect
 from insdvl.studies.check.text import document_of, text_of
 from insdvl.studies.check.topics import READ
 
+#: The nodes whose parameters are used here.
+GROUPS = {FILTER: FilterParameters, REPLAY: ReplayParameters}
 TERMINAL = Path("-")  # as an output file
 
 
@@ -56,20 +58,19 @@ def parameters_of(
         ParameterError: Values are refused; a line for each fault.
     """
     files = read(paths)
-    filter_, replay = "insdvl_filter", "insdvl_replay"
     faults: list[str] = []
-    told = settings(rules, {filter_: FilterParameters, replay: ReplayParameters}, faults)
-    name = full_name(files, filter_)
+    told = settings(rules, GROUPS, faults)
+    name = full_name(files, FILTER)
     if files and not any(reaches(file, [name]) for file in files):
         raise ParameterError(nothing_for(files[0], [name]))
     of_filter, of_replay = FilterParameters(), ReplayParameters()
     try:
-        of_filter = load_set(files, name, FilterParameters, told[filter_]).parameters
+        of_filter = load_set(files, name, FilterParameters, told[FILTER]).parameters
     except ParameterError as error:
         faults += str(error).splitlines()
     try:
-        replay_name = full_name(files, replay)
-        of_replay = load_set(files, replay_name, ReplayParameters, told[replay]).parameters
+        replay_name = full_name(files, REPLAY)
+        of_replay = load_set(files, replay_name, ReplayParameters, told[REPLAY]).parameters
     except ParameterError as error:
         faults += str(error).splitlines()
     if faults:

@@ -4,8 +4,9 @@ import argparse
 import sys
 
 from insdvl.files import check_writable, write
+from insdvl.parameters.settings import settings
 from insdvl.studies.check.answers import answers
-from insdvl.studies.check.command import looked_at, parameters_of
+from insdvl.studies.check.command import GROUPS, looked_at, parameters_of
 from insdvl.studies.init.template import CHECK, parameter_file
 
 
@@ -20,7 +21,8 @@ def run(arguments: argparse.Namespace) -> int:
         if fatal:
             print(f"insdvl init: {arguments.bag} is not usable: {' '.join(fatal)}", file=sys.stderr)
             return 1
-        text = parameter_file(arguments.bag.name, seen, found)
+        told = settings(arguments.set, GROUPS, [])
+        text = parameter_file(arguments.bag.name, seen, found, told)
         write(arguments.out, text.encode())
     except (ValueError, OSError) as error:
         for line in str(error).splitlines():
