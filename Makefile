@@ -13,7 +13,8 @@
 # make bench-scaling  measure how the cost grows, for docs/explanation/performance.md
 # make clean        remove what set-up and builds made
 #
-# Each sets up the environment when it runs first and rebuilds what changed.
+# Each sets up the environment when it runs first and rebuilds what changed; all but the demo then
+# add what tests and studies need.
 # PYTHON=python3.11 selects the interpreter of the first set-up.
 
 # A ROS 2 that was sourced in this shell must not leak into the environment.
@@ -30,35 +31,37 @@ SOURCES := $(shell find src ros_insdvl ros_insdvl_sim models tools/build.sh \
 .PHONY: demo test test-all test-jazzy test-core bench bench-nodes bench-check bench-scaling results \
 	consistency faults soak clean
 .DELETE_ON_ERROR:
+# Made on the way to others, and kept.
+.PRECIOUS: %/.installed %/.built %/.complete
 
 demo: .venv/.built
 	AMENT_PREFIX_PATH=$(CURDIR)/.venv .venv/lib/ros_insdvl_sim/demo $(ARGS)
 
-results consistency: .venv/.built
+results consistency: .venv/.whole
 	.venv/bin/insdvl $@ $(ARGS)
 
-bench: .venv/.built
+bench: .venv/.whole
 	.venv/bin/python benchmarks/speed.py $(ARGS)
 
-bench-nodes: .venv/.built
+bench-nodes: .venv/.whole
 	AMENT_PREFIX_PATH=$(CURDIR)/.venv .venv/bin/python benchmarks/nodes.py $(ARGS)
 
-bench-check: .venv/.built
+bench-check: .venv/.whole
 	.venv/bin/python benchmarks/speed.py --check benchmarks/speed.json $(ARGS)
 
-bench-scaling: .venv/.built
+bench-scaling: .venv/.whole
 	.venv/bin/python benchmarks/scaling.py $(ARGS)
 
-faults soak: .venv/.built
+faults soak: .venv/.whole
 	AMENT_PREFIX_PATH=$(CURDIR)/.venv .venv/lib/ros_insdvl_sim/$@ $(ARGS)
 
-test: .venv/.built
+test: .venv/.whole
 	AMENT_PREFIX_PATH=$(CURDIR)/.venv .venv/bin/$(PYTEST) -m "not long" $(ARGS)
 
-test-all: .venv/.built
+test-all: .venv/.whole
 	AMENT_PREFIX_PATH=$(CURDIR)/.venv .venv/bin/$(PYTEST) $(ARGS)
 
-test-jazzy: .venv-jazzy/.built
+test-jazzy: .venv-jazzy/.whole
 	AMENT_PREFIX_PATH=$(CURDIR)/.venv-jazzy .venv-jazzy/bin/$(PYTEST) $(ARGS)
 
 test-core: .venv-core/.built
@@ -84,6 +87,14 @@ test-core: .venv-core/.built
 
 %/.built: %/.installed $(SOURCES)
 	@tools/build.sh $*
+	@touch $@
+
+# What was built needs nothing of this; so it is not built again for it.
+%/.complete: %/.installed requirements-test.txt
+	@MORE=yes tools/environment.sh $*
+	@touch $@
+
+%/.whole: %/.built %/.complete
 	@touch $@
 
 clean:

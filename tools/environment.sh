@@ -3,6 +3,7 @@
 #
 #   tools/environment.sh FOLDER                      pins of constraints.txt
 #   tools/environment.sh FOLDER constraints-X.txt    the same, except for what the second file pins
+#   MORE=yes tools/environment.sh FOLDER             what tests and studies need besides
 #   CORE=yes tools/environment.sh FOLDER ...         the core and its tests, without ROS; the core
 #                                                    runs wherever its packages do
 #
@@ -18,6 +19,15 @@ stop() {
     echo "$*" >&2
     exit 1
 }
+
+# Source distributions are built with the pinned setuptools, so that nothing unpinned is fetched.
+pip="$folder/bin/python -m pip install --quiet --disable-pip-version-check --no-build-isolation --constraint $folder/constraints.txt"
+why="The packages could not be installed: pip says why above (the first set-up needs the network)."
+if [ -n "${MORE-}" ]; then
+    echo "Set-up: the packages of tests and studies go into $folder (once; about 250 MB)."
+    $pip --requirement requirements-test.txt || stop "$why"
+    exit
+fi
 
 check_platform() {
     [ "$(uname -s) $(uname -m)" = "Linux x86_64" ] ||
@@ -76,11 +86,11 @@ done
 pins=$folder/constraints.txt
 if [ -n "${CORE-}" ]; then
     # By its own setup.py: what it declares is what it needs.
-    what="--no-build-isolation ./src[bags,dask,jobs,onnx,plot,report,test,train] pytest-xdist"
+    what="./src[bags,dask,jobs,onnx,plot,report,test,train] pytest-xdist"
     size="the core with its packages go into $folder (once; about 700 MB"
 else
-    what="--no-build-isolation --requirement requirements.txt"
-    size="the ROS 2 wheels go into $folder (once; about 1 GB"
+    what="--requirement requirements.txt"
+    size="the ROS 2 wheels go into $folder (once; about 850 MB"
 fi
 echo "Set-up: $("$python" --version) ($python) and $size, a few minutes)."
 rm -rf "$folder"
@@ -91,8 +101,5 @@ if [ -n "$other_pins" ]; then
 else
     cp constraints.txt "$pins"
 fi
-# Source distributions are built with the pinned setuptools, so that nothing unpinned is fetched.
-pip="$folder/bin/python -m pip install --quiet --disable-pip-version-check --constraint $pins"
 # shellcheck disable=SC2086
-{ $pip setuptools wheel && $pip $what; } ||
-    stop "The packages could not be installed: pip says why above (the first set-up needs the network)."
+{ $pip setuptools wheel && $pip $what; } || stop "$why"

@@ -45,6 +45,9 @@ def _run(name: str, words: list[str]) -> int:
     command = COMMANDS[name]
     try:
         parsed = parser_of(name).parse_args(words)
+        if faults := list(parsed.faults(parsed)):
+            print("\n".join(f"insdvl {name}: {fault}" for fault in faults), file=sys.stderr)
+            return WRONG_CALL
         code = int(resolve_name(command.run)(parsed))
         sys.stdout.flush()
         return code

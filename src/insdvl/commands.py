@@ -29,6 +29,7 @@ class Command:
         example: Its arguments there.
         failed: What exit code 1 means; empty where there is none.
         kept: What an interruption leaves; empty for nothing.
+        interrupted: What exit code 130 means.
     """
 
     arguments: str
@@ -38,12 +39,13 @@ class Command:
     example: str = ""
     failed: str = ""
     kept: str = ""
+    interrupted: str = "interrupted (Ctrl-C)"
 
     @property
     def exit_codes(self) -> str:
         """What each exit code means."""
         failed = f"1 {self.failed}, " if self.failed else ""
-        text = f"exit code: 0 done, {failed}2 wrong call or input refused, 130 interrupted (Ctrl-C)"
+        text = f"exit code: 0 done, {failed}2 wrong call or input refused, 130 {self.interrupted}"
         return textwrap.fill(text, 80)
 
 
@@ -94,6 +96,7 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
             goal="navigate it",
             example="dive -c my.yaml --out run1",
             failed="with --strict, the verdict has a finding",
+            interrupted="interrupted (Ctrl-C), with a result of what was navigated until then",
         ),
         "report": _study(
             "report",
@@ -131,7 +134,11 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
         ),
         "models": _about("models", "list the shipped models"),
         "params": _about(
-            "params", "explain parameters", goal="explain a parameter", example="lever_arm"
+            "params",
+            "explain parameters",
+            goal="explain a parameter",
+            example="lever_arm",
+            failed="there is no such parameter",
         ),
         "doctor": _about(
             "doctor",
@@ -192,8 +199,12 @@ class Parser(argparse.ArgumentParser):
 
 
 def declare(name: str, parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of a command, and what its help says of examples and exit codes."""
+    """Declare the arguments of a command, and what its help says of examples and exit codes.
+
+    What is parsed has `faults`, a function from it to what is wrong with the values, all at once.
+    """
     command = COMMANDS[name]
+    parser.set_defaults(faults=lambda arguments: [])
     resolve_name(command.arguments)(parser)
     parser.description = f"{command.meaning[0].upper()}{command.meaning[1:]}."
     parser.epilog = f"{parser.epilog}\n\n{command.exit_codes}"

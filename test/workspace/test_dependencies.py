@@ -72,7 +72,8 @@ def entries(name: str) -> list[Requirement]:
 
 
 def required() -> set[str]:
-    return {canonicalize_name(entry.name) for entry in entries("requirements.txt")}
+    names = ("requirements.txt", "requirements-test.txt")
+    return {canonicalize_name(entry.name) for name in names for entry in entries(name)}
 
 
 def setup_argument(package: str, name: str) -> Any:
@@ -146,6 +147,18 @@ def test_requirements_cover_the_packages() -> None:
     needed = set().union(*(install_requires(package) for package in PACKAGES))
     assert needed | pip_names(set().union(*EXTRAS.values()) - EXTRAS["dnn"]) <= required()
     assert not EXTRAS["dnn"] & required()
+
+
+def test_the_demo_installs_no_more_than_it_needs() -> None:
+    """And nothing is installed twice."""
+    demo, tests = (
+        {canonicalize_name(entry.name) for entry in entries(name)}
+        for name in ("requirements.txt", "requirements-test.txt")
+    )
+    assert demo & tests == set()
+    assert demo & {"hypothesis", "pytest", "python-ins"} == set()
+    extras = ("dask", "jobs", "onnx", "train")
+    assert tests >= pip_names(set().union(*(EXTRAS[name] for name in extras)))
 
 
 def test_pages_name_what_rosdep_cannot_give() -> None:
@@ -244,7 +257,7 @@ def test_a_missing_package_is_told_with_its_extra(
 
 
 def test_a_command_without_its_package_is_one_sentence(tmp_path: Path) -> None:
-    call = ["replay", "bag", "--config", "a.yaml", "--json", "a.json"]
+    call = ["replay", ".", "--json", "a.json"]
     code = "import sys; sys.modules['rosbags'] = None; from insdvl.cli import main; "
     result = subprocess.run(
         [sys.executable, "-c", f"{code}sys.exit(main({call}))"],

@@ -12,26 +12,23 @@ from insdvl.parameters.sections import Loaded, load
 _Group = TypeVar("_Group")
 
 
-def settings(rules: Sequence[str], groups: Mapping[str, type[Any]]) -> dict[str, dict[str, Any]]:
+def settings(
+    rules: Sequence[str], groups: Mapping[str, type[Any]], faults: list[str]
+) -> dict[str, dict[str, Any]]:
     """The values that are set, by node and name; a later one replaces an earlier one.
 
     Args:
         rules: ``NAME=VALUE``, or ``NODE:NAME=VALUE`` where several nodes know the name.
         groups: The parameters of each node.
-
-    Raises:
-        ParameterError: A rule is none, or its name is known to no node; a line for each fault.
+        faults: What is wrong is added to it: a rule that is none, or a name that no node knows.
     """
     known = {node: {d.name for d in declarations(group)} for node, group in groups.items()}
     found: dict[str, dict[str, Any]] = {node: {} for node in groups}
-    faults = []
     for rule in rules:
         try:
             _set(rule, known, found)
         except ParameterError as error:
             faults.append(f"--set {rule}: {error}")
-    if faults:
-        raise ParameterError("\n".join(faults))
     return found
 
 

@@ -1,5 +1,6 @@
 """Reading a rosbag2 recording without ROS, sqlite3 and MCAP alike."""
 
+import math
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack
@@ -52,13 +53,18 @@ class BagReader:
         remarks: What a reader should know of it, each in a sentence.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, begin: float | None = None, end: float | None = None) -> None:
         """Open a recording.
+
+        Args:
+            path: The recording.
+            begin: Read from this time after its first message on [s]; from there by default.
+            end: Read to this time; to the end by default. `topics` are of the whole recording.
 
         Raises:
             BagError: It does not exist, is damaged, incomplete, empty or not a rosbag2 recording.
         """
-        self.path = path
+        self.path, self._begin, self._end = path, begin, end
         self.remarks: list[str] = []
         if not path.exists():
             raise BagError(f"recording {path} does not exist")
@@ -154,6 +160,11 @@ class BagReader:
         if self._reader.is_open:
             self._reader.close()
 
+    @property
+    def duration(self) -> float:
+        """Time from the first message to the last, as the recording tells it [s]."""
+        return float(self._reader.duration) / 1e9
+
     def has(self, topic: str, *types: str) -> bool:
         """Whether a topic has messages in the recording.
 
@@ -189,11 +200,13 @@ class BagReader:
             names: Other names that the messages are given.
 
         Raises:
-            BagError: The recording is damaged, or has fewer messages than its index says.
+            BagError: The recording is damaged, has fewer messages than its index says, or none in
+                the part that is read.
         """
+        part = self._part_ns() if (self._begin, self._end) != (None, None) else None
         connections = [c for c in self._connections if c.topic in topics]
         expected = sum(self.topics[name].size for name in {c.topic for c in connections})
-        found = 0
+        found = within = 0
         if not connections:
             return
         messages = self._reader.messages(connections)
@@ -215,6 +228,13 @@ class BagReader:
                 )
             if found > expected:
                 break
+            if part is not None:
+                if time_ns > part[1]:
+                    found = expected  # messages come in the order of their recording
+                    break
+                if time_ns < part[0]:
+                    continue
+            within += 1
             topic, kind, definition = told[connection.id]
             yield Raw(topic, kind, time_ns, bytes(data), definition)
         if found != expected:
@@ -225,6 +245,22 @@ class BagReader:
                 else f"recording {self.path} is incomplete: {found} of {expected} messages on "
                 f"{', '.join(sorted(topics))}"
             )
+        if part is not None and not within:
+            until = "its end" if self._end is None else f"{self._end:g} s"
+            raise BagError(f"nothing is recorded from {self._begin or 0.0:g} s to {until}")
+
+    def _part_ns(self) -> tuple[int, float]:
+        """Begin and end of what is read.
+
+        Raises:
+            BagError: The recording is damaged.
+        """
+        try:
+            _, first_ns, _ = next(self._reader.messages(self._connections))
+        except Exception as error:  # damaged bytes make the parser raise anything
+            raise BagError(f"recording {self.path} is damaged: {text_of(error)}") from error
+        end_ns = math.inf if self._end is None else first_ns + round(self._end * 1e9)
+        return first_ns + round((self._begin or 0.0) * 1e9), end_ns
 
     def messages(self, topics: Collection[str]) -> Iterator[Recorded]:
         """The messages of some topics, in the order in which they were recorded.

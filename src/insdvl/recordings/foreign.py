@@ -9,6 +9,7 @@ from pathlib import Path
 _ZSTD, _ROS_1, _MCAP = b"\x28\xb5\x2f\xfd", b"#ROSBAG V", b"\x89MCAP0\r\n"
 #: Storages, by the suffixes of their files.
 STORAGES = {".mcap": "mcap", ".db3": "sqlite3"}
+_TEXTS = (".csv", ".txt", ".tsv", ".log")
 _COMPRESSED = (".zst", ".zstd")
 
 
@@ -26,6 +27,8 @@ def remedy_of_file(path: Path) -> str:
     if begin.startswith(_MCAP) and end != _MCAP:
         mended = path.with_name(f"{path.stem}-recovered.mcap")
         return f"its end is missing, the recorder was killed: mcap recover {path} -o {mended}"
+    if path.suffix.lower() in _TEXTS:
+        return "insdvl import makes a recording of text files"
     return ""
 
 

@@ -101,6 +101,10 @@ class Stored(Recording):
 
     What a reader should know of it goes to stderr.
 
+    Attributes:
+        path: Its place.
+        duration: As it tells it [s].
+
     Args:
         path: The recording.
         parameters: Of the replay.
@@ -119,6 +123,7 @@ class Stored(Recording):
             for remark in bag.remarks:
                 print(f"{path}: {remark}", file=sys.stderr)
             self._played = played(bag, parameters, taken)
+            self.duration = bag.duration
             size = bag.topics[parameters.imu_topic].size
         if size > most:
             raise BagError(

@@ -393,3 +393,13 @@ def test_exit_codes_and_json_on_the_terminal(
     assert document["topics"]["/imu"]["use"] == "IMU"
     assert cli.main(["check", str(tmp_path / "none")]) == 2
     assert "does not exist" in capsys.readouterr().err
+
+
+def test_a_velocity_along_one_axis_has_a_speed() -> None:
+    log = DvlLog(10.0, np.eye(3))
+    for k in range(20):
+        log.add(Dvl(k * NS, np.array([1.5 + 0.01 * k, 0.0, 0.0]), measured=(True, False, False)))
+    facts = log.facts()
+    assert facts.speed is not None and facts.speed[0] == pytest.approx(1.6, abs=0.01)
+    assert (facts.count, facts.partial, facts.zeros) == (20, 20, 0)
+    assert facts.scatter is None

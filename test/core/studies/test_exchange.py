@@ -234,7 +234,8 @@ def test_a_wrong_map_is_told(
         ("t,vx,vy,vz\nsoon,1,2,3\n", "dvl.csv line 2: 'soon' is not a stamp"),
         ("t,vx,vy,vz\n0,1,2,3\n", "has the stamp 0 s"),
         ("t,vx,vy,vz\n", "has no row with numbers"),
-        ("", "has no column 't'"),
+        ("", "dvl.csv is empty"),
+        ("# nothing but a comment\n", "dvl.csv is empty"),
         ("t,vx,vy,vz\n1.1,1,2\n", "line 2 has 3 columns"),
     ],
 )
@@ -265,3 +266,17 @@ def test_wrong_exports_are_told(
         assert cli.main(["export", str(tmp_path / "b"), *options]) == 2
         assert message in capsys.readouterr().err
     assert not list(tmp_path.glob("a.*"))
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "# A logger's name, version 3\n# 2024-01-01\nt,fx,fy,fz,wx,wy,wz\n",
+        "# A logger's name, version 3\n# t, fx, fy, fz, wx, wy, wz\n# units: SI\n",
+    ],
+)
+def test_comments_before_the_names_and_names_in_a_comment_are_read(
+    tmp_path: Path, head: str
+) -> None:
+    bag = imported(tmp_path, SIMPLE, imu=head + IMU_CSV.partition("\n")[2])
+    assert len(messages(bag, "/imu/data_raw")) == 20

@@ -132,3 +132,13 @@ def test_a_simulator_without_noise_gives_parameters_that_a_filter_takes(tmp_path
     assert min(parameters.dvl.noise_std) >= 1e-3
     assert min(noise.accelerometer_variance) >= noise.accelerometer_floor
     assert min(noise.gyroscope_variance) >= noise.gyroscope_floor
+
+
+def test_what_is_set_stands_in_the_file(tmp_path: Path) -> None:
+    save(tmp_path / "dive", raws_of(flown(12.0)))
+    out = tmp_path / "my.yaml"
+    given = ["--set", "dvl.max_speed=3", "--set", "dvl.lever_arm=[0.5, 0.0, 0.0]"]
+    assert cli.main(["init", str(tmp_path / "dive"), *given, "-o", str(out)]) == 0
+    text = out.read_text()
+    assert re.search(r"dvl.max_speed: 3(\.0)? +# as set", text)
+    assert re.search(r"dvl.lever_arm: \[0.5, 0(\.0)?, 0(\.0)?\] +# as set", text)

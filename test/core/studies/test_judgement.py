@@ -292,6 +292,7 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "mount pitch": ({"dvl": replace(DVL, mount=tuple(TURNED["y"]))}, {}, r"deg about y"),
     "stamps late": ({"late": 0.1}, {}, r"stamps of the DVL are 0\.(09|10|11|12) s late"),
     "stamps early": ({"late": -0.1}, {}, r"stamps of the DVL are 0\.(09|10|11|12) s early"),
+    "scale 3 %": ({"v": 0.97 * np.eye(3)}, {}, r"velocities are -[23]\.\d % wrong"),
     "knots": ({"v": np.eye(3) / 0.514444}, {}, r"the DVL is in knots"),
     "deg/s": ({"w": np.eye(3) * math.degrees(1.0)}, {}, r"gyroscope is in deg/s"),
     "IMU axes": ({"f": np.eye(3)[[1, 0, 2]], "w": np.eye(3)[[1, 0, 2]]}, {}, "axes are exchanged"),

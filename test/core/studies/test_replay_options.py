@@ -1,6 +1,9 @@
 """Options of `insdvl replay` and `insdvl check`: settings, a part of the recording, comparison."""
 
 import json
+import re
+import signal
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +12,9 @@ from looked_at import flown, raws_of
 from recordings import save
 
 from insdvl.cli import main
+from insdvl.jobs.progress import Progress
+from insdvl.studies.replay import command
+from insdvl.studies.replay.inputs.watched import interruption
 
 CONFIG = """
 /**/insdvl_filter:
@@ -99,3 +105,84 @@ def test_check_takes_settings(folder: Path, capsys: pytest.CaptureFixture[str]) 
     assert "50" in capsys.readouterr().out
     assert main([*call, "--set", "imu.rat=50.0"]) == 2
     assert "did you mean imu.rate?" in capsys.readouterr().err
+
+
+def test_all_that_is_wrong_with_a_call_is_told_together(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "there"
+    out.mkdir()
+    call = ["replay", f"{tmp_path}/absent", "-c", f"{tmp_path}/no.yaml", "--out", str(out)]
+    assert main([*call, "--from", "5", "--to", "2", "--rate", "-1"]) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert all(line.startswith("insdvl replay: ") for line in said)
+    for text in ("absent does not exist", "no.yaml does not exist", "--to above it", "--rate must"):
+        assert any(text in line for line in said), text
+    assert "there exists already" in said[-1] and len(said) == 5
+    values = ("--set", "gate.probability=7", "--set", "gate.probabilty=7")
+    replayed(folder, *values, code=2)
+    unknown, range_ = capsys.readouterr().err.splitlines()
+    assert "did you mean gate.probability?" in unknown and "must be > 0.5 and <= 1" in range_
+
+
+def test_a_part_is_checked_made_a_file_of_and_exported(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    dive, part = f"{folder}/dive", ("--from", "10", "--to", "20")
+    assert main(["check", dive, *part, "--json", "-"]) == 0
+    assert json.loads(capsys.readouterr().out)["duration"] == pytest.approx(10.0, abs=0.1)
+    assert main(["init", dive, *part, "--set", "imu_topic=/imu", "-o", f"{tmp_path}/a.yaml"]) == 0
+    assert main(["export", dive, *part, "--topic", "/imu", "-o", f"{tmp_path}/imu.csv"]) == 0
+    rows = (tmp_path / "imu.csv").read_text().splitlines()
+    assert len(rows) == pytest.approx(1001, abs=1)
+    capsys.readouterr()
+    late = ["export", dive, "--from", "99", "--topic", "/imu", "-o", f"{tmp_path}/late.csv"]
+    assert main(late) == 2
+    assert "nothing is recorded from 99 s to its end" in capsys.readouterr().err
+
+
+# ---------------------------------------------------------------- progress, interruption
+
+
+def test_an_interruption_keeps_what_was_navigated(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Pressed(Progress):
+        """Someone presses Ctrl-C after a while."""
+
+        def show(self, done: int) -> None:
+            if done == 12:
+                signal.raise_signal(signal.SIGINT)
+
+    before = signal.getsignal(signal.SIGINT)
+    out = tmp_path / "out"
+    call = ["replay", f"{folder}/dive", "-c", f"{folder}/my.yaml", "--out", str(out)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(command, "Progress", Pressed)
+        patch.setattr(sys.stderr, "isatty", lambda: True)
+        assert main(call) == 130
+    assert signal.getsignal(signal.SIGINT) is before
+    said = capsys.readouterr()
+    assert re.search(r"interrupted: the result is of the first 1\d s", said.err)
+    document = json.loads((out / "numbers.json").read_text())
+    assert document["interrupted"] and 5.0 < document["duration"] < 15.0
+    assert (out / "metadata.yaml").is_file() and (out / "track.csv").is_file()
+
+
+def test_the_second_interruption_ends_it() -> None:
+    with interruption() as ends:
+        assert not ends()
+        signal.raise_signal(signal.SIGINT)
+        assert ends()
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+
+
+def test_progress_has_the_time_left_and_is_on_a_terminal_only(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    replayed(folder)
+    assert "left" not in capsys.readouterr().err
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    replayed(folder)
+    assert re.search(r"seconds: 29/30, 0:\d\d elapsed, 0:\d\d left", capsys.readouterr().err)

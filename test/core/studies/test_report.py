@@ -132,7 +132,7 @@ def test_the_tables_agree_with_each_other_and_with_the_recording(out: Path) -> N
     assert np.sqrt(np.mean(error**2)) == pytest.approx(rmse, rel=1e-6)
     with BagReader(out) as bag:
         last = [m.message for m in bag.messages(["/odometry/filtered"])][-1]
-    assert last.pose.pose.position.x == pytest.approx(found.track["position_x"][-1], rel=1e-8)
+    assert last.pose.pose.position.x == pytest.approx(found.track["position_x"][-1], abs=1e-4)
 
 
 def test_the_numbers_say_what_was_run(out: Path) -> None:

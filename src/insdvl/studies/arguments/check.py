@@ -4,13 +4,16 @@ import argparse
 from pathlib import Path
 
 from insdvl.commands import examples
-from insdvl.studies.arguments.replay import add_set_option
+from insdvl.studies.arguments.recording import add_recording, add_set_option, recording_faults
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's options."""
-    parser.epilog = examples("check dive", "check dive.mcap -c vehicle.yaml --json -")
-    parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2: a folder, .mcap or .db3")
+    parser.epilog = examples(
+        "check dive", "check dive.mcap -c vehicle.yaml --json -", "check dive --from 60 --to 300"
+    )
+    parser.set_defaults(faults=recording_faults)
+    add_recording(parser)
     parser.add_argument(
         "-c",
         "--config",

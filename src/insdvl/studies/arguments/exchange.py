@@ -1,9 +1,11 @@
 """The arguments of `insdvl import` and `insdvl export`."""
 
 import argparse
+from collections.abc import Iterator
 from pathlib import Path
 
 from insdvl.commands import examples
+from insdvl.studies.arguments.recording import add_recording, recording_faults, taken
 
 
 def import_(parser: argparse.ArgumentParser) -> None:
@@ -12,6 +14,7 @@ def import_(parser: argparse.ArgumentParser) -> None:
         "import imu.csv dvl.csv --map map.yaml --out dive",
         "import imu.csv dvl.csv truth.csv --map map.yaml --out dive",
     )
+    parser.set_defaults(faults=_faults_of_import)
     parser.add_argument("imu", type=Path, metavar="IMU", help="text file with a row per sample")
     parser.add_argument("dvl", type=Path, metavar="DVL", help="text file with a row per velocity")
     parser.add_argument(
@@ -37,17 +40,21 @@ def import_(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def _faults_of_import(arguments: argparse.Namespace) -> Iterator[str]:
+    for path in (arguments.imu, arguments.dvl, arguments.truth, arguments.map):
+        if path is not None and not path.is_file():
+            yield f"{path} is not a file" if path.exists() else f"{path} does not exist"
+    yield from taken("--out", arguments.out)
+
+
 def export(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `insdvl export`."""
     parser.epilog = examples(
-        "export run1 -o track.tum", "export dive --topic /imu/data_raw -o imu.csv"
+        "export run1 -o track.tum",
+        "export dive --topic /imu/data_raw --from 10 --to 20 -o imu.csv",
     )
-    parser.add_argument(
-        "bag",
-        type=Path,
-        metavar="BAG",
-        help="rosbag2, or the result of insdvl replay, which is one",
-    )
+    parser.set_defaults(faults=recording_faults)
+    add_recording(parser, "rosbag2, or the result of insdvl replay, which is one")
     parser.add_argument(
         "-o",
         "--output",

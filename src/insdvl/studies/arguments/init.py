@@ -1,15 +1,26 @@
 """The arguments of `insdvl init`."""
 
 import argparse
+from collections.abc import Iterator
 from pathlib import Path
 
 from insdvl.commands import examples
+from insdvl.studies.arguments.recording import (
+    add_recording,
+    add_set_option,
+    recording_faults,
+    taken,
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's options."""
-    parser.epilog = examples("init dive -o vehicle.yaml", "init dive.mcap -o config/vehicle.yaml")
-    parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2: a folder, .mcap or .db3")
+    parser.epilog = examples(
+        "init dive -o vehicle.yaml",
+        "init dive.mcap --from 60 --set dvl.type=geometry_msgs/msg/TwistStamped -o vehicle.yaml",
+    )
+    parser.set_defaults(faults=_faults)
+    add_recording(parser)
     parser.add_argument(
         "-o",
         "--out",
@@ -18,3 +29,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="YAML",
         help="new parameter file; an existing one is not overwritten",
     )
+    add_set_option(parser)
+
+
+def _faults(arguments: argparse.Namespace) -> Iterator[str]:
+    yield from recording_faults(arguments)
+    yield from taken("--out", arguments.out)

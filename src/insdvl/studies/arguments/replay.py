@@ -1,23 +1,19 @@
 """The arguments of `insdvl replay`."""
 
 import argparse
+from collections.abc import Iterator
 from pathlib import Path
 
 from insdvl.commands import examples
+from insdvl.studies.arguments.recording import (
+    add_recording,
+    add_set_option,
+    recording_faults,
+    taken,
+)
 
 RATE = 10.0  # Hz, of the odometry in the result
-
-
-def add_set_option(parser: argparse.ArgumentParser) -> None:
-    """Declare --set."""
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="set a parameter, in place of what files say; NODE:NAME=VALUE where several nodes "
-        "know the name. May be given several times",
-    )
+MIN_RATE, MAX_RATE = 0.01, 10_000.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -27,7 +23,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "replay dive --set dvl.noise_std=0.05 --from 60 --to 300",
         "replay dive -c my.yaml --compare process_noise.source=external",
     )
-    parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2: a folder, .mcap or .db3")
+    parser.set_defaults(faults=_faults)
+    add_recording(parser)
     parser.add_argument(
         "-c",
         "--config",
@@ -47,14 +44,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="also replay with this file after the others, or with this value, and show the "
         "numbers side by side; once for each further configuration",
     )
-    for name, what in (("from", "begin"), ("to", "end")):
-        parser.add_argument(
-            f"--{name}",
-            type=float,
-            dest=what,
-            metavar="S",
-            help=f"{what} so many seconds after the recording's first message",
-        )
     parser.add_argument(
         "--namespace",
         metavar="NS",
@@ -89,3 +78,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "'oracle' is given the variances",
     )
     parser.add_argument("--seed", type=int, default=0, help="random seed of the noise (default: 0)")
+
+
+def _faults(arguments: argparse.Namespace) -> Iterator[str]:
+    yield from recording_faults(arguments)
+    if not (arguments.rate == 0.0 or MIN_RATE <= arguments.rate <= MAX_RATE):
+        yield f"--rate must be 0 or within {MIN_RATE:g} to {MAX_RATE:g} Hz, got {arguments.rate:g}"
+    yield from taken("--out", arguments.out)
+    if arguments.seed < 0:
+        yield f"--seed must be >= 0, got {arguments.seed}"

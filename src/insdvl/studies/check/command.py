@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from insdvl.files import check_writable, json_text, write
@@ -14,11 +15,13 @@ from insdvl.parameters.settings import load_set, settings
 from insdvl.recordings.bag_reader import BagReader
 from insdvl.recordings.parameters import ReplayParameters
 from insdvl.studies.check.answers import answers
-from insdvl.studies.check.findings import is_usable
+from insdvl.studies.check.findings import FILTER, REPLAY, is_usable
 from insdvl.studies.check.inspection import Inspection, inspect
 from insdvl.studies.check.text import document_of, text_of
 from insdvl.studies.check.topics import READ
 
+#: The nodes whose parameters are used here.
+GROUPS = {FILTER: FilterParameters, REPLAY: ReplayParameters}
 TERMINAL = Path("-")  # as an output file
 
 
@@ -27,9 +30,9 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         if arguments.json not in (None, TERMINAL):
             check_writable(arguments.json, "--json")
-        filter_, replay = _parameters(arguments)
+        filter_, replay = parameters_of(arguments.config or [], arguments.set)
         adapt = arguments.config is None and not arguments.set
-        seen = looked_at(arguments.bag, filter_, replay, adapt=adapt)
+        seen = looked_at(arguments, filter_, replay, adapt=adapt)
         found = answers(seen)
         if arguments.json is not None:
             document = json_text(document_of(str(arguments.bag), seen, found))
@@ -46,30 +49,54 @@ def run(arguments: argparse.Namespace) -> int:
     return 0 if is_usable(found) else 1
 
 
-def _parameters(arguments: argparse.Namespace) -> tuple[FilterParameters, ReplayParameters]:
-    """By files and settings; one of the files must be for the filter."""
-    files = read(arguments.config or [])
-    filter_, replay = "insdvl_filter", "insdvl_replay"
-    told = settings(arguments.set, {filter_: FilterParameters, replay: ReplayParameters})
-    name = full_name(files, filter_)
+def parameters_of(
+    paths: Sequence[Path], rules: Sequence[str]
+) -> tuple[FilterParameters, ReplayParameters]:
+    """By files and settings; one of the files must be for the filter.
+
+    Raises:
+        ParameterError: Values are refused; a line for each fault.
+    """
+    files = read(paths)
+    faults: list[str] = []
+    told = settings(rules, GROUPS, faults)
+    name = full_name(files, FILTER)
     if files and not any(reaches(file, [name]) for file in files):
         raise ParameterError(nothing_for(files[0], [name]))
-    of_replay = full_name(files, replay)
-    return (
-        load_set(files, name, FilterParameters, told[filter_]).parameters,
-        load_set(files, of_replay, ReplayParameters, told[replay]).parameters,
-    )
+    of_filter, of_replay = FilterParameters(), ReplayParameters()
+    try:
+        of_filter = load_set(files, name, FilterParameters, told[FILTER]).parameters
+    except ParameterError as error:
+        faults += str(error).splitlines()
+    try:
+        replay_name = full_name(files, REPLAY)
+        of_replay = load_set(files, replay_name, ReplayParameters, told[REPLAY]).parameters
+    except ParameterError as error:
+        faults += str(error).splitlines()
+    if faults:
+        raise ParameterError("\n".join(faults))
+    return of_filter, of_replay
 
 
 def looked_at(
-    path: Path, filter_: FilterParameters, replay: ReplayParameters, *, adapt: bool
+    arguments: argparse.Namespace,
+    filter_: FilterParameters,
+    replay: ReplayParameters,
+    *,
+    adapt: bool,
 ) -> Inspection:
     """See `inspect`; on a terminal with its progress.
+
+    Args:
+        arguments: With the recording, and the part of it that is looked at.
+        filter_: See `inspect`.
+        replay: See `inspect`.
+        adapt: See `inspect`.
 
     Raises:
         BagError: The recording cannot be read.
     """
-    with BagReader(path) as bag:
+    with BagReader(arguments.bag, arguments.begin, arguments.end) as bag:
         if not sys.stderr.isatty():
             return inspect(bag, filter_, replay, adapt=adapt)
         size = sum(topic.size for topic in bag.topics.values() if topic.type in READ)

@@ -28,7 +28,8 @@ class DvlFacts:
         too_fast: Number of those beyond dvl.max_speed.
         repeats: Number of those that equal the one before, zeros aside.
         partial: Number of those with a component that was not measured.
-        speed: Median and largest size [m/s]; None without any that is not zero.
+        speed: Median and largest size of what was measured [m/s]; None without any that is not
+            zero.
         mean: (3,) mean velocity [m/s].
         scatter: (3,) one sigma of the noise, by differences [m/s]; None with too few.
         told: One sigma that the messages tell, the median [m/s]; None where they tell none.
@@ -69,13 +70,13 @@ class DvlLog:
         self._stamps: list[int] = []
         self._v: list[Array] = []
         self._told: list[float] = []
-        self._partial = 0
+        self._partial: list[float] = []  # sizes of what was measured
         self.refused: Counter[str] = Counter()
 
     def add(self, event: Dvl) -> None:
         """Take a measurement."""
         if not all(event.measured):
-            self._partial += 1
+            self._partial.append(float(np.linalg.norm(event.v_d)))
             return
         self._stamps.append(event.stamp_ns)
         self._v.append(self._axes @ event.v_d)
@@ -86,15 +87,16 @@ class DvlLog:
         """What they show."""
         v = np.array(self._v).reshape(-1, 3)
         speeds = np.linalg.norm(v, axis=1)
-        moving = speeds[speeds > 0.0]
+        sizes = np.concatenate([speeds, self._partial])
+        moving = sizes[sizes > 0.0]
         equal = (np.diff(v, axis=0) == 0.0).all(axis=1) & (speeds[1:] > 0.0)
         return DvlFacts(
-            count=len(v) + self._partial,
+            count=len(sizes),
             refused=self.refused,
             zeros=int((speeds == 0.0).sum()),
-            too_fast=int((speeds > self._max_speed).sum()),
+            too_fast=int((sizes > self._max_speed).sum()),
             repeats=int(equal.sum()),
-            partial=self._partial,
+            partial=len(self._partial),
             speed=(float(np.median(moving)), float(moving.max())) if moving.size else None,
             mean=v.mean(axis=0) if len(v) else np.zeros(3),
             scatter=_scatter(np.array(self._stamps), v),

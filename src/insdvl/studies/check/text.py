@@ -75,8 +75,8 @@ def _table(seen: Inspection) -> Iterable[str]:
 
 
 def _clock(seconds: float) -> str:
-    minutes, rest = divmod(seconds, 60.0)
-    return f"{int(minutes)} min {rest:.0f} s" if minutes else f"{rest:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest} s" if minutes else f"{seconds:.1f} s"
 
 
 def document_of(bag: str, seen: Inspection, found: Sequence[Finding]) -> dict[str, Any]:

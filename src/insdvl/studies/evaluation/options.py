@@ -3,6 +3,7 @@
 import argparse
 from collections.abc import Collection, Iterable
 
+from insdvl.commands import nearest
 from insdvl.studies.evaluation.comparison import MIN_RUNS
 
 
@@ -27,4 +28,7 @@ def check_names(option: str, values: Iterable[str], known: Collection[str]) -> N
     """
     for value in values:
         if value not in known:
-            raise ValueError(f"{option}: unknown name {value!r}; known are {', '.join(known)}")
+            raise ValueError(
+                f"{option}: unknown name {value!r}{nearest(value, known)}; known are "
+                f"{', '.join(known)}"
+            )

@@ -27,7 +27,7 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         output: Path = arguments.output
         check_writable(output, "--output")
-        rows, topic = _export(arguments.bag, arguments.topic, output)
+        rows, topic = _export(arguments)
     except (ValueError, OSError) as error:
         print(f"insdvl export: {error}", file=sys.stderr)
         return 2
@@ -35,12 +35,14 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _export(bag_path: Path, asked: str | None, output: Path) -> tuple[int, str]:
+def _export(arguments: argparse.Namespace) -> tuple[int, str]:
     """Write the file; the number of its rows, and the topic."""
+    bag_path: Path = arguments.bag
+    output: Path = arguments.output
     if output.suffix not in (".csv", ".tum"):
         raise ValueError(f"--output {output}: the name must end in .csv or .tum")
-    with BagReader(bag_path) as bag:
-        topic = _topic(bag, asked)
+    with BagReader(bag_path, arguments.begin, arguments.end) as bag:
+        topic = _topic(bag, arguments.topic)
         kind = bag.topics[topic].type
         if output.suffix == ".tum" and kind != ODOMETRY:
             raise BagError(f"{topic} of {bag_path} has type {kind}, TUM needs {ODOMETRY}")

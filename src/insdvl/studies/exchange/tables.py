@@ -83,23 +83,39 @@ def _read(path: Path, source: SourceMap, lines: Iterator[str]) -> Table:
 
 
 def _rows(lines: Iterator[str], source: SourceMap) -> Iterator[tuple[int, list[str]]]:
-    """Numbers of lines, and their texts; the first is that of the names."""
+    """Numbers of lines, and their texts; the first is that of the names where the map has names.
+
+    That is the first comment that has them all, else the first line that is none.
+    """
     for _ in range(source.skip):
         next(lines, "")
     separator = source.separator
-    number = source.skip
-    for text in lines:
-        number += 1
-        is_first = separator is None
-        if not text.strip() or (text.startswith("#") and not is_first):
+    names = {column for column in source.columns if isinstance(column, str)}
+    begun = False
+    for number, text in enumerate(lines, source.skip + 1):
+        if not text.strip():
             continue
-        if separator is None:
-            separator = next((s for s in _SEPARATORS if s in text), " ")
-        if separator == " ":
-            yield number, text.lstrip("#").split()
+        if text.startswith("#"):
+            told = text.lstrip("#")
+            row = _cells(told, source.separator or _separator_of(told))
+            if begun or not names or not names <= set(row):
+                continue
         else:
-            (row,) = csv.reader([text.lstrip("#")], delimiter=separator)
-            yield number, [cell.strip() for cell in row]
+            separator = separator or _separator_of(text)
+            row = _cells(text, separator)
+        begun = True
+        yield number, row
+
+
+def _separator_of(text: str) -> str:
+    return next((separator for separator in _SEPARATORS if separator in text), " ")
+
+
+def _cells(text: str, separator: str) -> list[str]:
+    if separator == " ":
+        return text.split()
+    (row,) = csv.reader([text], delimiter=separator)
+    return [cell.strip() for cell in row]
 
 
 def _places(path: Path, source: SourceMap, rows: Iterator[tuple[int, list[str]]]) -> list[int]:
@@ -108,6 +124,8 @@ def _places(path: Path, source: SourceMap, rows: Iterator[tuple[int, list[str]]]
     if all(isinstance(column, int) for column in columns):
         return [int(column) - 1 for column in columns]
     _, names = next(rows, (0, []))
+    if not names:
+        raise MapError(f"{path} is empty: it has no line with the names of its columns")
     faults = []
     for column in columns:
         if isinstance(column, str) and column not in names:

@@ -1,7 +1,8 @@
 """The parameters that matter, filled from what was seen of a recording, each with its reason."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,13 +36,19 @@ class Line(NamedTuple):
     why: str
 
 
-def parameter_file(name: str, seen: Inspection, found: Sequence[Finding]) -> str:
+def parameter_file(
+    name: str,
+    seen: Inspection,
+    found: Sequence[Finding],
+    told: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
+) -> str:
     """The file.
 
     Args:
         name: Of the recording.
         seen: What was seen of it, usable.
         found: What is said of it.
+        told: Parameters that are set, by node.
     """
     settings = settings_of(found)
     mended = settings.get(FILTER, {})
@@ -54,9 +61,10 @@ def parameter_file(name: str, seen: Inspection, found: Sequence[Finding]) -> str
                 why += f"; at right angles it were {yaml_value(right_angles(value))}"
             lines[key] = Line(key, value, why)
     text = _HEADER.format(name=name)
-    for node, rows in ((FILTER, lines.values()), (REPLAY, _replay(seen))):
+    for node, rows in ((FILTER, lines), (REPLAY, {line.name: line for line in _replay(seen)})):
+        rows |= {key: Line(key, value, "as set") for key, value in told.get(node, {}).items()}
         text += f"/**/{node}:\n  ros__parameters:\n"
-        for line in rows:
+        for line in rows.values():
             text += f"    {f'{line.name}: {yaml_value(line.value)}':42}  # {line.why}\n"
     return text
 

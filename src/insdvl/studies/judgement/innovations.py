@@ -54,8 +54,8 @@ def statistics(reports: Sequence[UpdateReport]) -> dict[str, Any] | None:
     ``nis_mean`` is over all that were judged, accepted or not, with ``nis_expected`` and
     ``nis_bounds``; ``nis_median`` with its own, which outliers do not move. ``autocorrelation`` is
     that of the normalised innovations at lag one, with ``autocorrelation_bound``. ``mean`` is the
-    mean innovation in each row, and ``mean_in_standard_errors`` that over its standard error; where
-    neighbours are correlated, it counts fewer of them.
+    mean innovation in each row, and ``mean_in_standard_errors`` that over its standard error, which
+    is larger where near ones are correlated.
     """
     judged = judged_of(reports)
     if len(judged) < FEWEST:
@@ -66,9 +66,8 @@ def statistics(reports: Sequence[UpdateReport]) -> dict[str, Any] | None:
     count, rows = nu.shape
     z = np.clip(normalised_innovations(nu, S), -OUTLIER, OUTLIER)
     rho = autocorrelation(z, 1)[0]
-    independent = count * min((1.0 - rho) / (1.0 + rho), 1.0)
     mean = nu.mean(axis=0)
-    error = nu.std(axis=0, ddof=1) / math.sqrt(max(independent, 1.0))
+    error = np.array([_error_of_mean(row) for row in nu.T])
     return {
         "judged": count,
         "nis_mean": float(nis.mean()),
@@ -83,6 +82,26 @@ def statistics(reports: Sequence[UpdateReport]) -> dict[str, Any] | None:
         "mean_in_standard_errors": _divided(mean, error),
         "mean_in_sigmas": _divided(mean, np.sqrt(np.mean(np.diagonal(S, axis1=1, axis2=2), 0))),
     }
+
+
+def variance_of_sum(values: Array) -> float:
+    """Variance of a sum whose terms differ in size and are correlated with near ones.
+
+    Newey and West, A simple, positive semi-definite, heteroskedasticity and autocorrelation
+    consistent covariance matrix, Econometrica 55 (1987).
+    """
+    lags = int(4.0 * (len(values) / 100.0) ** (2.0 / 9.0))
+    total = float(values @ values)
+    for lag in range(1, lags + 1):
+        total += 2.0 * (1.0 - lag / (lags + 1.0)) * float(values[lag:] @ values[:-lag])
+    return total
+
+
+def _error_of_mean(values: Array) -> float:
+    """Standard error of a mean (N,), not below that of white values."""
+    left, count = values - values.mean(), len(values)
+    white = count / (count - 1.0) * float(left @ left)
+    return math.sqrt(max(white, variance_of_sum(left))) / count
 
 
 def _divided(values: Array, by: Array) -> list[float]:

@@ -18,6 +18,8 @@ from insdvl.navigation.events import NS, Event
 from insdvl.navigation.geometry.frames import rotation_from_rpy, rpy_from_rotation
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
+from insdvl.studies.judgement.added_noise import noisier
+from insdvl.studies.judgement.innovations import variance_of_sum
 from insdvl.studies.replay.taken import MOST, Taken
 
 #: The samples of the IMU are averaged over so long [s]: a vehicle that turns by 20 deg/s turns by a
@@ -27,6 +29,11 @@ AVERAGE = 0.05
 END = 0.5
 #: Fewest innovations from which anything is estimated.
 FEWEST = 50
+#: Sigmas of an unknown of the mount: the chance of any of eight is that of one other rule.
+MOUNT_SIGMAS = 4.0
+#: How often noise is added where something seems wrong, and the least share of the information that
+#: is taken to be left without noise.
+REPEATS, LEAST = 8, 0.01
 
 
 @dataclass(frozen=True)
@@ -75,6 +82,11 @@ class Change:
         """How many sigmas the change is away from none."""
         return abs(self.value) / self.sigma
 
+    @property
+    def matters(self) -> bool:
+        """Whether it is beyond chance, and beyond what is set with care."""
+        return self.z > MOUNT_SIGMAS and abs(self.value) > self.unknown.careful
+
 
 #: What `mounting` gives.
 Mount = tuple[Change, ...]
@@ -121,8 +133,23 @@ def told_otherwise(
     ]
 
 
+@dataclass(frozen=True)
+class Sums:
+    """Over all measurements, of the changes g of the innovations nu by a step of U unknowns.
+
+    Attributes:
+        information: (U,) of g^T S^-1 g.
+        gradient: (U,) of g^T S^-1 nu.
+        variance: (U,) of the gradient.
+    """
+
+    information: Array
+    gradient: Array
+    variance: Array
+
+
 def mounting(
-    taken: Taken, parameters: FilterParameters, used: set[int]
+    taken: Taken, parameters: FilterParameters, used: set[int], rng: np.random.Generator
 ) -> tuple[Change, ...] | None:
     """The changes of all `UNKNOWNS` that the innovations ask for; None where they are too few.
 
@@ -133,53 +160,91 @@ def mounting(
         parameters: Of the filter.
         used: Stamps of the DVL measurements that the filter accepted. Only these are folded again,
             without the gate: a decision must not depend on a small change.
+        rng: Of the noise that is added where something seems wrong, see `_without_noise`.
     """
     part, parameters = taken.first(MOST).averaged(parameters, AVERAGE)
     parameters = replace(parameters, gate=replace(parameters.gate, enabled=False))
     last_ns = int(part.samples[0][-1]) - round(END * NS)
-    events = [e for e in part.events if not isinstance(e, Dvl) or e.stamp_ns in used]
-    events = [e for e in events if e.stamp_ns <= last_ns]
+    part.events = [
+        e
+        for e in part.events
+        if e.stamp_ns <= last_ns and (not isinstance(e, Dvl) or e.stamp_ns in used)
+    ]
+    sums = _sums(part, parameters, UNKNOWNS)
+    if sums is None:
+        return None
+    changes = _changes(UNKNOWNS, sums)
+    suspected = [k for k, change in enumerate(changes) if change.matters]
+    if suspected:
+        unknowns = [UNKNOWNS[k] for k in suspected]
+        kept = Sums(sums.information[suspected], sums.gradient[suspected], sums.variance[suspected])
+        noisy = [
+            _sums(noisier(part, parameters, rng), parameters, unknowns) for _ in range(REPEATS)
+        ]
+        known = _without_noise(kept, [found for found in noisy if found is not None])
+        for k, change in zip(suspected, _changes(unknowns, known), strict=True):
+            changes[k] = change
+    return tuple(changes)
+
+
+def _changes(unknowns: Sequence[Unknown], sums: Sums) -> list[Change]:
+    """The most probable change of each unknown."""
+    steps, sigmas = -sums.gradient / sums.information, np.sqrt(sums.variance) / sums.information
+    return [
+        Change(unknown, float(value) * unknown.step, float(sigma) * unknown.step)
+        for unknown, value, sigma in zip(unknowns, steps, sigmas, strict=True)
+    ]
+
+
+def _without_noise(sums: Sums, noisy: Sequence[Sums]) -> Sums:
+    """What the sums would be without noise in the changes g of the innovations.
+
+    The same noise is in g and in nu: in the predicted velocity, the turn rate and the specific
+    force. Their product is then not zero when all is right. The sums grow in proportion to the
+    power of the noise; so what they grow by when it is added once more is what it makes of them
+    (Cook and Stefanski, Simulation-extrapolation estimation in parametric measurement error models,
+    J. Am. Stat. Assoc. 89 (1994)).
+
+    Args:
+        sums: As the recording has them.
+        noisy: With noise added.
+    """
+    if len(noisy) < 2:
+        return sums
+    gradients = np.array([one.gradient for one in noisy])
+    information = 2.0 * sums.information - np.mean([one.information for one in noisy], axis=0)
+    return Sums(
+        # Where hardly anything is left, nothing is known: the sigma is large.
+        np.maximum(information, LEAST * sums.information),
+        2.0 * sums.gradient - gradients.mean(axis=0),
+        sums.variance + gradients.var(axis=0, ddof=1) / len(noisy),
+    )
+
+
+def _sums(part: Taken, parameters: FilterParameters, unknowns: Sequence[Unknown]) -> Sums | None:
+    """The sums of some unknowns; None where the innovations are too few."""
+    events = part.events
     read = {e.stamp_ns: e.v_d for e in events if isinstance(e, Dvl)}
     stamps, nu, S = _innovations(part, parameters, events)
     if len(nu) < FEWEST:
         return None
     predicted = {t: read[t] - of_t for t, of_t in zip(stamps, nu, strict=True)}
     weights = np.linalg.inv(S)
-    columns = []
-    for unknown in UNKNOWNS:
+    # The innovations themselves tell how large they are; so a sigma does not depend on R and Q.
+    power = float(np.einsum("ki,kij,kj->", nu, weights, nu)) / nu.size
+    found = []
+    for unknown in unknowns:
         told = told_otherwise(parameters, events, unknown, unknown.step, predicted)
         _, changed, _ = _innovations(part, *told)
         if changed.shape != nu.shape:
             return None
-        columns.append(changed - nu)
-    G = np.stack(columns, axis=2)
-    of_steps = np.einsum("kia,kij,kja->a", G, weights, G)
-    gradient = np.einsum("kia,kij,kj->a", G, weights, nu)
-    # The innovations themselves tell how large they are; so a sigma does not depend on R and Q.
-    power = float(np.einsum("ki,kij,kj->", nu, weights, nu)) / nu.size
-    changes = []
-    for k, unknown in enumerate(UNKNOWNS):
-        information = max(float(of_steps[k]), 1e-12)
-        steps = -float(gradient[k]) / information
-        left = nu + steps * G[:, :, k]
-        scores = np.einsum("ki,kij,kj->k", G[:, :, k], weights, left)
-        variance = max(power * information, _variance_of_sum(scores))
-        sigma = math.sqrt(variance) / information
-        changes.append(Change(unknown, steps * unknown.step, sigma * unknown.step))
-    return tuple(changes)
-
-
-def _variance_of_sum(values: Array) -> float:
-    """Variance of a sum whose terms differ in size and are correlated with near ones.
-
-    Newey and West, A simple, positive semi-definite, heteroskedasticity and autocorrelation
-    consistent covariance matrix, Econometrica 55 (1987).
-    """
-    lags = int(4.0 * (len(values) / 100.0) ** (2.0 / 9.0))
-    total = float(values @ values)
-    for lag in range(1, lags + 1):
-        total += 2.0 * (1.0 - lag / (lags + 1.0)) * float(values[lag:] @ values[:-lag])
-    return total
+        g = changed - nu
+        information = max(float(np.einsum("ki,kij,kj->", g, weights, g)), 1e-12)
+        gradient = float(np.einsum("ki,kij,kj->", g, weights, nu))
+        left = nu - gradient / information * g
+        of_left = np.einsum("ki,kij,kj->k", g, weights, left)
+        found.append((information, gradient, max(power * information, variance_of_sum(of_left))))
+    return Sums(*np.array(found).T)
 
 
 def _innovations(

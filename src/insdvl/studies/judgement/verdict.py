@@ -18,7 +18,14 @@ from insdvl.navigation.filter import Filter
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.studies.judgement.innovations import FEWEST, SIGMAS, statistics
-from insdvl.studies.judgement.mounting import ARMS, Change, Mount, mounting, told_otherwise
+from insdvl.studies.judgement.mounting import (
+    ARMS,
+    MOUNT_SIGMAS,
+    Change,
+    Mount,
+    mounting,
+    told_otherwise,
+)
 from insdvl.studies.judgement.noise import DvlNoise, dvl_noise, imu_variances
 from insdvl.studies.judgement.numbers import (
     biases,
@@ -34,8 +41,8 @@ from insdvl.studies.replay.taken import MOST
 
 #: A sigma is seldom known better than by this factor; what is nearer to right is no finding.
 FACTOR = 1.5
-#: Sigmas of an unknown of the mount: the chance of any of eight is that of one other rule.
-MOUNT_SIGMAS = 4.0
+#: Seed of the noise that is added to find what noise makes of the mount.
+SEED = 0
 #: Share of the measurements that are refused, beyond which it is a finding.
 REFUSED = 0.02
 #: Correlation of neighbours, and mean innovation in its sigmas, beyond which they matter.
@@ -98,7 +105,10 @@ def verdict(replayed: Replayed, parameters: FilterParameters, document: dict[str
     noise = dvl_noise(replayed.taken, filter_, replayed.ping_noise)
     # Axes or units that are wrong make the rest meaningless, and its computation long; what they
     # do to noise, gate and biases would be called the fault of these.
-    mount = None if replayed.findings else mounting(replayed.taken, parameters, used)
+    mount = None
+    if not replayed.findings:
+        rng = np.random.default_rng(SEED)
+        mount = mounting(replayed.taken, parameters, used, rng)
     part = replayed.taken.first(MOST)
     withheld = [
         found
@@ -230,7 +240,7 @@ def _of_mount(mount: Mount | None, parameters: FilterParameters) -> Iterator[Fin
         return
     ranked = sorted(mount, key=lambda change: -change.z)
     best = ranked[0]
-    beyond = [c for c in ranked if c.z > MOUNT_SIGMAS and abs(c.value) > c.unknown.careful]
+    beyond = [change for change in ranked if change.matters]
     if not beyond or beyond[0] is not best:
         return
     # Odds of a hundred between two causes: 2 ln 100 in the squares of their sigmas.
@@ -304,8 +314,8 @@ def _of_prediction(
     beyond = [
         w
         for w in withheld
-        if not w.nis_bounds[0] <= w.nis_mean <= w.nis_bounds[1]
-        and not expected / FACTOR**2 < w.nis_mean < expected * FACTOR**2
+        if not w.nis_bounds[0] <= w.nis_mean <= w.nis_bounds[1] + w.nis_of_curvature
+        and not expected / FACTOR**2 < w.nis_mean < expected * FACTOR**2 + w.nis_of_curvature
     ]
     if not low <= median <= high and not middle / FACTOR < median < middle * FACTOR:
         large = median > middle

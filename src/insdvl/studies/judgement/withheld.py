@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from insdvl.arrays import Array
 from insdvl.navigation.events import NS, Event
 from insdvl.navigation.gate.chi_square import exceeded
 from insdvl.navigation.measurements.dvl import Dvl
@@ -21,6 +22,7 @@ from insdvl.studies.replay.taken import Taken
 WINDOWS = (10.0, 30.0)
 #: Time before the first window, and between two [s]: the filter recovers.
 RECOVERY = 20.0
+GRAVITY = 9.81  # m/s^2
 #: Probability of the region of which the coverage is told.
 REGION = 0.95
 
@@ -36,6 +38,7 @@ class Withheld:
         sigma: What the filter expected of it [m/s].
         nis_mean: Mean NIS, 3 if the filter is as good as it says.
         nis_bounds: Of that, by chance.
+        nis_of_curvature: By so much the mean NIS of a right filter is larger, see `of_curvature`.
         log_likelihood: Mean, of one measurement.
         covered: Share within the region of 95 %.
     """
@@ -46,6 +49,7 @@ class Withheld:
     sigma: float
     nis_mean: float
     nis_bounds: tuple[float, float]
+    nis_of_curvature: float
     log_likelihood: float
     covered: float
 
@@ -87,9 +91,26 @@ def predictions(
         sigma=float(np.sqrt(np.mean(np.trace(S, axis1=1, axis2=2)))),
         nis_mean=float(nis.mean()),
         nis_bounds=mean_nis_bounds(rows, count),
+        nis_of_curvature=float(np.mean(of_curvature(S, seconds))),
         log_likelihood=float(log_likelihood.mean()),
         covered=float(np.mean(nis <= exceeded(rows, 1.0 - REGION))),
     )
+
+
+def of_curvature(S: Array, seconds: float) -> Array:
+    """What a large tilt adds to the NIS of a filter that is as good as it says (K,).
+
+    A filter is linear in the tilt, and gravity is not: by its cosine a tilt of variance q t about
+    each level axis changes the vertical velocity by g q t^2 / 2 on average, and by 5/3 of the
+    square of that in the mean square. The level velocity shows q: its variance is g^2 q t^3 / 3.
+
+    Args:
+        S: (K, 3, 3) covariances of the innovations [(m/s)^2].
+        seconds: Since the last measurement.
+    """
+    variances = np.linalg.eigvalsh(S)
+    falls = 1.5 * variances[:, -1] / (GRAVITY * seconds)
+    return np.asarray(5.0 / 3.0 * falls**2 / variances[:, 0])
 
 
 def _chosen(events: list[Event], used: set[int], seconds: float) -> tuple[list[Event], set[int]]:

@@ -3,12 +3,14 @@
 import argparse
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from insdvl.commands import INTERRUPTED
 from insdvl.files import check_writable, json_text, write
+from insdvl.jobs.progress import Progress
 from insdvl.messages.topics import PROCESS_NOISE
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import ParameterError, flatten
@@ -26,6 +28,7 @@ from insdvl.studies.replay.inputs.between import Between
 from insdvl.studies.replay.inputs.extrinsics import with_extrinsics
 from insdvl.studies.replay.inputs.injection import Injected, Injection
 from insdvl.studies.replay.inputs.learning import Learned
+from insdvl.studies.replay.inputs.watched import Watched, interruption
 from insdvl.studies.replay.result import Output, new_folder
 from insdvl.studies.replay.scores import report
 from insdvl.studies.replay.text import side_by_side, table_of, verdict_of
@@ -33,7 +36,6 @@ from insdvl.studies.report.facts import card_of, changed_parameters, versions
 from insdvl.tuner.parameters import TunerParameters
 from insdvl.watch.start import waits_for
 
-MIN_RATE, MAX_RATE = 0.01, 10_000.0
 STANDARD_OUTPUT = "-"
 
 
@@ -62,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
     It is 1 with ``--strict`` where the verdict has a finding.
     """
     try:
-        found = _replay(arguments)
+        found, interrupted = _replay(arguments)
     except MemoryError as error:
         print(f"insdvl replay: not enough memory for {arguments.bag}: {error}", file=sys.stderr)
         return 2
@@ -72,18 +74,21 @@ def run(arguments: argparse.Namespace) -> int:
         for fault in faults:
             print(f"insdvl replay: {' '.join(fault.split())}", file=sys.stderr)
         return 2
+    if interrupted:
+        return INTERRUPTED
     return 1 if found and arguments.strict else 0
 
 
-def _replay(arguments: argparse.Namespace) -> bool:
-    """Replay; returns whether the verdict has a finding."""
+def _replay(arguments: argparse.Namespace) -> tuple[bool, bool]:
+    """Replay; returns whether the verdict has a finding, and whether it was interrupted."""
     out = _check_places(arguments)
     first, *others = (_configured(arguments, further) for further in ("", *arguments.compare))
     for text in dict.fromkeys(text for one in (first, *others) for text in one.warnings):
         print(f"insdvl replay: WARN {text}", file=sys.stderr)
     # First, since one that is refused must leave no result behind.
     compared = [_navigated(arguments, other, None)[0] for other in others]
-    document, judgement, without_report = _navigated(arguments, first, out)
+    with interruption() as ends:
+        document, judgement, without_report = _navigated(arguments, first, out, ends)
     if compared:
         document["compared"] = compared
     if arguments.json == STANDARD_OUTPUT:
@@ -99,11 +104,21 @@ def _replay(arguments: argparse.Namespace) -> bool:
     print(verdict_of(document), file=words)
     if compared:
         print(side_by_side([document, *compared]), file=words)
-    return bool(judgement.findings)
+    if document["interrupted"]:
+        text = f"interrupted: the result is of the first {document['duration']:.0f} s"
+        print(f"insdvl replay: {text}", file=sys.stderr)
+    return bool(judgement.findings), document["interrupted"]
+
+
+def _never() -> bool:
+    return False
 
 
 def _navigated(
-    arguments: argparse.Namespace, configuration: Configuration, out: Path | None
+    arguments: argparse.Namespace,
+    configuration: Configuration,
+    out: Path | None,
+    ends: Callable[[], bool] = _never,
 ) -> tuple[dict[str, Any], Verdict, str]:
     """The document of a configuration, its verdict, and why there is no report.
 
@@ -111,17 +126,22 @@ def _navigated(
         arguments: Of the command.
         configuration: With what it is navigated.
         out: Folder of the result, None for none.
+        ends: Whether the recording ends here, though it goes on.
     """
     filter_, tuner, replay = configuration.filter, configuration.tuner, configuration.replay
     injection = _injection(arguments)
 
-    recording = read(arguments.bag, replay, filter_)
+    stored = read(arguments.bag, replay, filter_)
+    recording: Recording = stored
     if arguments.begin is not None or arguments.end is not None:
         recording = Between(recording, arguments.begin or 0.0, arguments.end)
     filter_ = with_extrinsics(arguments.bag, recording, filter_)
     if injection is not None:
         recording = Injected(recording, injection)
     recording, q_from = _with_process_noise(recording, filter_, tuner)
+    end = min(stored.duration, arguments.end or math.inf)
+    progress = Progress("seconds", max(round(end - (arguments.begin or 0.0)), 1))
+    recording = Watched(recording, progress if sys.stderr.isatty() else None, ends)
 
     def judged(replayed: Replayed) -> tuple[dict[str, Any], Verdict]:
         if not replayed.last.known_ns:
@@ -133,6 +153,7 @@ def _navigated(
         judgement = verdict(replayed, filter_, document)
         document |= {
             "bag": str(arguments.bag),
+            "interrupted": ends(),
             "configuration": configuration.text,
             "process_noise": q_from,
             "injected_noise": asdict(injection) if injection else None,
@@ -147,10 +168,13 @@ def _navigated(
 
     without_report = ""
     if out is None:
-        document, judgement = judged(fold_recording(recording, filter_))
+        with progress:
+            replayed = fold_recording(recording, filter_)
+        document, judgement = judged(replayed)
     else:
         with Output(out, filter_, arguments.rate) as output:
-            replayed = fold_recording(recording, filter_, [output])
+            with progress:
+                replayed = fold_recording(recording, filter_, [output])
             document, judgement = judged(replayed)
             without_report = output.finish(replayed, document)
     return document, judgement, without_report
@@ -173,10 +197,11 @@ def _configured(arguments: argparse.Namespace, further: str = "") -> Configurati
         "insdvl_tuner": TunerParameters,
         "insdvl_replay": ReplayParameters,
     }
-    told = settings(rules, groups)
+    faults: list[str] = []
+    told = settings(rules, groups, faults)
     files = read_files(paths)
     names = [_full_name(arguments.namespace, files, node) for node in groups]
-    loaded, faults = [], []
+    loaded = []
     for name, (node, group) in zip(names, groups.items(), strict=True):
         try:
             loaded.append(load_set(files, name, group, told[node]))
@@ -226,22 +251,11 @@ def _check_places(arguments: argparse.Namespace) -> Path | None:
 
     Nothing is overwritten but the file of --json.
     """
-    if not (arguments.rate == 0.0 or MIN_RATE <= arguments.rate <= MAX_RATE):
-        raise ValueError(
-            f"--rate must be 0 or within {MIN_RATE:g} to {MAX_RATE:g} Hz, got {arguments.rate:g}"
-        )
-    begin, end = arguments.begin or 0.0, arguments.end
-    if not 0.0 <= begin < math.inf or (end is not None and not end > begin):
-        raise ValueError(
-            f"--from must be at least 0 and --to above it, got {arguments.begin} and {end}"
-        )
     if arguments.json not in (None, STANDARD_OUTPUT):
         check_writable(Path(arguments.json), "--json")
     out: Path | None = arguments.out
     if out is None:
         return new_folder(arguments.bag) if arguments.json is None else None
-    if out.exists() or out.is_symlink():
-        raise BagError(f"--out {out} exists already and is not overwritten")
     return out
 
 
@@ -259,6 +273,4 @@ def _injection(arguments: argparse.Namespace) -> Injection | None:
             "--inject-noise must be four numbers ACC_LO,ACC_HI,GYR_LO,GYR_HI with "
             f"0 < LO <= HI, got {text!r}"
         )
-    if arguments.seed < 0:
-        raise ValueError(f"--seed must be >= 0, got {arguments.seed}")
     return Injection((limits[0], limits[1]), (limits[2], limits[3]), arguments.seed)

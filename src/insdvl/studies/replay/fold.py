@@ -35,7 +35,7 @@ BATCH = 512
 
 def read(
     path: Path, parameters: ReplayParameters, filter_parameters: FilterParameters | None = None
-) -> Recording:
+) -> Stored:
     """What is played of a recording, in the recorded order, on the topics of the nodes.
 
     What a reader should know of the recording goes to stderr.

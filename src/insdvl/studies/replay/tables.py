@@ -4,6 +4,7 @@ They are for people and for other programs, and the report is made from them. Th
 docs/reference/replay.md.
 """
 
+import re
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -17,6 +18,26 @@ from insdvl.studies.replay.track import TrackColumns
 from insdvl.timeline.output import AppliedUpdate
 
 _XYZ = "xyz"
+#: How the columns are written whose names end so, without components: a length to 0.1 mm, what
+#: tells how large errors are to 5 digits. All others have 9 digits.
+_FORMS = {
+    "sigma": "%.5g",
+    "sigma_deg": "%.5g",
+    "noise": "%.5g",
+    "position_covariance": "%.5g",
+    "bias": "%.6g",
+    "position": "%.4f",
+    "height": "%.4f",
+    "latitude_deg": "%.9f",
+    "longitude_deg": "%.9f",
+    "orientation": "%.7f",
+    "roll_deg": "%.5f",
+    "pitch_deg": "%.5f",
+    "yaw_deg": "%.5f",
+    "velocity": "%.5f",
+    "rate": "%.7f",
+}
+_COMPONENTS = re.compile(r"_(xy|[xyzw])$")
 
 
 def _named(name: str, values: Array, letters: str = _XYZ) -> dict[str, Array]:
@@ -85,17 +106,24 @@ def reference_columns(at: AtReference) -> dict[str, Array] | None:
 def csv_text(stamps_ns: Stamps, columns: Mapping[str, Array], *, names: bool = True) -> str:
     """A table; the first column is the stamp [s], the first line, where it is wanted, the names."""
     values = np.stack(list(columns.values()), axis=1)
-    form = ",".join(["%.9g"] * values.shape[1])
+    form = ",".join(map(_form, columns))
     lines = [",".join(["stamp", *columns])] if names else []
     for stamp_ns, row in zip(stamps_ns.tolist(), values.tolist(), strict=True):
         lines.append(f"{_seconds(stamp_ns)},{form % tuple(row)}")
     return "\n".join(lines) + "\n"
 
 
+def _form(name: str) -> str:
+    """How a column is written."""
+    stem = _COMPONENTS.sub("", name)
+    fitting = [end for end in _FORMS if stem == end or stem.endswith(f"_{end}")]
+    return _FORMS[max(fitting, key=len)] if fitting else "%.9g"
+
+
 def tum_text(track: TrackColumns) -> str:
     """The track as TUM has it: stamp, position, quaternion x, y, z, w."""
     rows = np.concatenate([track.position, track.quaternion_xyzw], axis=1).tolist()
-    form = " ".join(["%.9g"] * 7)
+    form = " ".join([_FORMS["position"]] * 3 + [_FORMS["orientation"]] * 4)
     lines = [
         f"{_seconds(stamp_ns)} {form % tuple(row)}"
         for stamp_ns, row in zip(track.stamps_ns.tolist(), rows, strict=True)

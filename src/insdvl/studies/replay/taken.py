@@ -31,6 +31,15 @@ class Taken:
         self._readings = array("d")
         self.events: list[Event] = []
 
+    @classmethod
+    def of(cls, stamps_ns: Stamps, readings: Array, events: Iterable[Event]) -> "Taken":
+        """From samples, arrays (N,) and (N, 6) as in `samples`, and other events."""
+        taken = cls()
+        taken._stamps.frombytes(np.ascontiguousarray(stamps_ns, dtype=np.int64).tobytes())
+        taken._readings.frombytes(np.ascontiguousarray(readings, dtype=np.float64).tobytes())
+        taken.events = list(events)
+        return taken
+
     def add(self, event: Event) -> None:
         """Keep an event that the fold took."""
         if isinstance(event, Imu):
@@ -63,11 +72,8 @@ class Taken:
             return self
         until_ns = int(stamps_ns[0]) + round(seconds * NS)
         count = int(np.searchsorted(stamps_ns, until_ns, side="right"))
-        part = Taken()
-        part._stamps.extend(stamps_ns[:count].tolist())
-        part._readings.extend(readings[:count].ravel().tolist())
-        part.events = [event for event in self.events if event.stamp_ns <= until_ns]
-        return part
+        events = [event for event in self.events if event.stamp_ns <= until_ns]
+        return Taken.of(stamps_ns[:count], readings[:count], events)
 
     def averaged(
         self, parameters: FilterParameters, interval: float
@@ -85,16 +91,14 @@ class Taken:
         block = (stamps_ns - stamps_ns[:1]) // round(interval * NS)
         firsts = np.flatnonzero(np.diff(block, prepend=-1))
         counts = np.diff(firsts, append=len(block))
-        part = Taken()
-        part._stamps.extend(stamps_ns[firsts + counts - 1].tolist())
         means = np.add.reduceat(readings, firsts) / counts[:, None]
-        part._readings.extend(means.ravel().tolist())
         number = float(np.median(counts))
         divisor = number if parameters.process_noise.convention == "per_sample" else 1.0
-        part.events = [
+        events = [
             _of_averages(event, divisor) if isinstance(event, ProcessNoise) else event
             for event in self.events
         ]
+        part = Taken.of(stamps_ns[firsts + counts - 1], means, events)
         noise = replace(
             parameters.process_noise,
             **{

@@ -45,6 +45,7 @@ BLOCKS = {
     "gyroscope scale": (GYROSCOPE_SCALE, 0.01, 0.1),
 }
 TURNS = frozenset(["mount", "yaw"])
+SCALES = frozenset(["scale", "gyroscope scale"])
 #: Probability that a block was not set, where it is another than `WRONG`: the default of the lever
 #: arm is none, and nearly every vehicle has one.
 UNSET = {"arm": 0.1}
@@ -87,6 +88,13 @@ class Cause:
         rest = self.blocks - TURNS
         level = [Cause(rest | {"yaw"}, self.unit)] if "mount" in self.blocks else []
         return [Cause(rest, self.unit), *level]
+
+    @property
+    def less_scaled(self) -> list["Cause"]:
+        """The causes with which another scale is compared: with none."""
+        if not (self.unit or self.blocks & SCALES):
+            return []
+        return [Cause(self.blocks - SCALES)]
 
     def more(self) -> Iterator["Cause"]:
         """The causes with one more thing wrong."""
@@ -146,6 +154,11 @@ class Miswired:
     def less_turned(self) -> list[Cause]:
         """See `Cause.less_turned`."""
         return [NOTHING, Cause(frozenset(["yaw"]))] if self.sensor == "DVL" else []
+
+    @property
+    def less_scaled(self) -> list[Cause]:
+        """See `Cause.less_scaled`."""
+        return [NOTHING] if self.factor != 1.0 else []
 
     @property
     def accelerometer(self) -> Array:

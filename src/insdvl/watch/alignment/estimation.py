@@ -196,12 +196,14 @@ class Fit:
         noise: Of the windows, as the residuals show it.
         volume: ln of the share of the prior's volume that the data leave, twice, and negative; with
             the squared distance from its mean, and of the climb from none.
+        slow: (W, 12) slow parts of y.
     """
 
     values: Array
     covariance: Array
     noise: Noise
     volume: float
+    slow: Array
 
     @property
     def sigma(self) -> Array:
@@ -272,7 +274,8 @@ def _fit(info: Information, values: Array, step: Array, prior: Prior, noise: Noi
     distance = (values + step - prior.mean) / prior.sigma
     squares = float(distance @ distance) + float(_squares(info.climb[None], step)[0])
     volume = 2.0 * float(np.log(prior.sigma).sum()) - float(np.linalg.slogdet(covariance)[1])
-    return Fit(values + step, covariance, noise, squares + volume)
+    slow = info.slow @ np.append(step, 1.0)
+    return Fit(values + step, covariance, noise, squares + volume, slow)
 
 
 def linear_spread(info: Information, fit: Fit, prior: Prior) -> Array:

@@ -26,7 +26,7 @@ from insdvl.watch.alignment.estimation import (
     rows,
 )
 from insdvl.watch.alignment.gravity import GRAVITY
-from insdvl.watch.alignment.windows import SLOW, Bases, Window, integrated
+from insdvl.watch.alignment.windows import SLOW, Bases, Noise, Window, integrated
 
 SMALLEST = 1e-3  # m/s, noise of a DVL; none is better
 ACCUSED = 2.0 * math.log(1e4)  # twice the log of the odds against right parameters
@@ -275,8 +275,8 @@ class Search:
         """All explanations, the most probable one first.
 
         What is noise of the IMU in any case is no reason to prefer a cause that makes less of it,
-        such as a gyroscope whose rates are too large; nor is what a turn of the DVL makes of the
-        noise of an axis that measures nothing.
+        such as a gyroscope whose rates are too large, or a DVL that reads too little; nor is what
+        a turn of the DVL makes of the noise of an axis that measures nothing.
         """
         v_d = np.concatenate([m.window.v_d for m in motions])
         square = float((v_d**2).sum(axis=1).mean())
@@ -286,9 +286,7 @@ class Search:
         }
 
         def cost(cause: Cause | Miswired, excess: float) -> float:
-            fit = fits[cause]
-            speed = math.sqrt(square) * math.exp(-fit.values[SCALE])
-            return fit.cost(noises[cause], excess) + cause.penalty + (speed / SPEED) ** 2
+            return fits[cause].cost(noises[cause], excess) + cause.penalty
 
         turns = {cause: self._turn(cause, fit) for cause, fit in fits.items()}
         bounds = {
@@ -297,12 +295,18 @@ class Search:
                 for other in cause.less_turned
                 if other in fits
             ]
+            + [
+                (other, self._most_scaled(cause, fit, fits[other], noises[cause], least))
+                for other in cause.less_scaled
+                if other in fits
+            ]
             for cause, fit in fits.items()
         }
 
         def bounded(cause: Cause | Miswired, excess: float) -> float:
-            least = [cost(other, excess) - most / excess for other, most in bounds[cause]]
-            return max([cost(cause, excess), *least])
+            lowest = [cost(other, excess) - most / excess for other, most in bounds[cause]]
+            speed = math.sqrt(square) * math.exp(-fits[cause].values[SCALE])
+            return max([cost(cause, excess), *lowest]) + (speed / SPEED) ** 2
 
         best = min(fits, key=lambda cause: bounded(cause, 1.0))
         excess = noises[best].excess
@@ -339,6 +343,27 @@ class Search:
         # The power of noise in n values is within sqrt(2 n) of itself per value, one sigma.
         chance = noise * math.sqrt(2.0 / (3.0 * len(SLOW) * len(motions)))
         return max(0.0, slow - noise - CHANCE * chance)
+
+    def _most_scaled(
+        self, cause: Cause | Miswired, fit: Fit, other: Fit, noise: Noise, imu: Array
+    ) -> float:
+        """By how much another scale can fit better than none: by the signal that it changes.
+
+        The noise of the IMU changes as well, and its power is known no better than from the few
+        slow degrees of each window, here as if each window had one.
+
+        Args:
+            cause: With the scale.
+            fit: With it.
+            other: Without.
+            noise: Of the residuals of the first.
+            imu: (W, 5) variances by the noise of the IMU, see `Motion.noise`.
+        """
+        changed = ((fit.slow - other.slow) ** 2).sum(axis=1) / noise.variance
+        of_noise = (1.0 - self._share(cause, fit)) ** 2 * 3.0 * imu[:, :-1].sum(axis=1)
+        of_noise /= noise.variance
+        chance = math.sqrt(float(of_noise @ of_noise))
+        return max(0.0, float(changed.sum() - of_noise.sum()) - CHANCE * chance)
 
     @staticmethod
     def _share(cause: Cause | Miswired, fit: Fit) -> float:
