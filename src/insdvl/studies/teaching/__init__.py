@@ -1,0 +1,1 @@
+"""Weights of the bands of one vehicle, with its DVL as the teacher (docs/explanation/dvl-as-teacher.md)."""
