@@ -164,8 +164,7 @@ def _stretch(
     start, bias = _start(filter_, folded.states[begin], parameters)
     ping_ns = np.array([e.stamp_ns for e in pings], dtype=np.int64)
     inner = window_ns[(window_ns > at) & (window_ns < ping_ns[-1])]
-    regular = np.arange(at, ping_ns[-1], round(LONGEST_STEP * NS))
-    bounds_ns = np.unique(np.concatenate([regular, inner, ping_ns]))
+    bounds_ns = _divided(np.unique(np.concatenate([[at], inner, ping_ns])))
     steps = increments(stamps_ns, samples[:, :3], samples[:, 3:], bias, bounds_ns)
     model = filter_.models[Dvl.name]
     C_d_i = filter_.vehicle.C_b_i.T @ filter_.vehicle.axes.body_rotation(
@@ -187,6 +186,17 @@ def _stretch(
         slow=slow,
         time_constant=parameters.dvl.bias_time_constant if told.any() else TIME_CONSTANT,
     )
+
+
+def _divided(bounds_ns: Stamps) -> Stamps:
+    """The bounds of steps, with further ones in steps that are too long."""
+    longest_ns = round(LONGEST_STEP * NS)
+    further = [
+        np.arange(a + longest_ns, b, longest_ns)
+        for a, b in zip(bounds_ns[:-1], bounds_ns[1:], strict=True)
+        if b - a > longest_ns
+    ]
+    return np.unique(np.concatenate([bounds_ns, *further]))
 
 
 def _start(filter_: Filter, s: State, parameters: FilterParameters) -> tuple[Start, Array]:

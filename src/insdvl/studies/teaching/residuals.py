@@ -14,7 +14,13 @@ from numpy.typing import NDArray
 
 from insdvl.arrays import Array
 from insdvl.kernels import kernel
-from insdvl.navigation.geometry.rotation import cross, exponential
+from insdvl.navigation.geometry.rotation import (
+    cross,
+    exponential,
+    product,
+    rotate,
+    rotate_back,
+)
 from insdvl.studies.teaching.increments import Increments
 
 SIZE = 15  # velocity, attitude, biases of accelerometers and gyroscopes, slow error of the DVL
@@ -145,15 +151,11 @@ def _filter(
     n = SIZE
     b_f, b_w, b_d = np.zeros(3), np.zeros(3), np.zeros(3)
     R, mean, C_mid = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    Phi, Q, H = np.empty((n, n)), np.empty((n, n)), np.zeros((3, n))
-    w_in, a, b, c, u, m = (
-        np.empty(3),
-        np.empty(3),
-        np.empty(3),
-        np.empty(3),
-        np.empty(3),
-        np.empty(3),
-    )
+    Phi, Q, dx = np.eye(n), np.empty((n, n)), np.empty(n)
+    PHt, covariance, K, residual = np.empty((n, 3)), np.empty((3, 3)), np.empty((n, 3)), np.empty(3)
+    w_in, a, b, c = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
+    u, m, new_v = np.zeros(3), np.zeros(3), np.zeros(3)
+    turned = np.empty((3, 3))
     ping = 0
     for j in range(seconds.size):
         t = seconds[j]
@@ -165,19 +167,25 @@ def _filter(
         y = 0.25 * (turn[j, 0, 2] - turn[j, 2, 0])
         z = 0.25 * (turn[j, 1, 0] - turn[j, 0, 1])
         exponential(R, mean, x, y, z)
-        C_mid[:] = C @ R
+        product(C_mid, C, R)
         # The bias turns the integrated force by half of what it turns the end of the step.
         exponential(R, mean, -0.5 * t * b_w[0], -0.5 * t * b_w[1], -0.5 * t * b_w[2])
-        a[:] = C @ (R @ dv[j]) - t * (C_mid @ b_f)
+        rotate(u, R, dv[j])
+        rotate(a, C, u)
+        rotate(u, C_mid, b_f)
+        for i in range(3):
+            a[i] -= t * u[i]
+            c[i] = w_in[i] + w_ie_n[i]
         cross(b, w_in, a)
-        cross(c, w_in + w_ie_n, v)
-        new_v = v + a - 0.5 * t * b + t * (g_n - c)
+        cross(m, c, v)
+        for i in range(3):
+            new_v[i] = v[i] + a[i] - 0.5 * t * b[i] + t * (g_n[i] - m[i])
         exponential(R, mean, -t * b_w[0], -t * b_w[1], -t * b_w[2])
-        turned = C @ (turn[j] @ R)
-        exponential(R, mean, -t * w_in[0], -t * w_in[1], -t * w_in[2])
-        C[:] = R @ turned
+        product(mean, turn[j], R)
+        product(R, C, mean)
+        exponential(turned, mean, -t * w_in[0], -t * w_in[1], -t * w_in[2])
+        product(C, turned, R)
 
-        Phi[:] = np.eye(n)
         Q[:] = 0.0
         decay = np.exp(-t / time_constant)
         for i in range(3):
@@ -205,27 +213,74 @@ def _filter(
         Phi[0, 4], Phi[0, 5] = -t * g_n[2], t * g_n[1]
         Phi[1, 3], Phi[1, 5] = t * g_n[2], -t * g_n[0]
         Phi[2, 3], Phi[2, 4] = -t * g_n[1], t * g_n[0]
-        P[:] = Phi @ P @ Phi.T + Q
+        _spread(P, Phi, Q)
         v[:] = new_v
         while ping < pings.size and pings[ping] == j:
+            rotate_back(a, C, v)
             for i in range(3):
-                for k in range(3):
-                    H[i, k] = C[k, i]
-                H[i, 12 + i] = 1.0
-            PHt = P @ H.T
-            covariance = H @ PHt
-            for i in range(3):
-                covariance[i, i] += noise[ping, i]
-            residual = velocities[ping] - C.T @ v - b_d
+                residual[i] = velocities[ping, i] - a[i] - b_d[i]
+            _gain(P, C, noise[ping], PHt, covariance, K)
             nu[ping], S[ping] = residual, covariance
-            K = PHt @ np.linalg.inv(covariance)
-            dx = K @ residual
-            P -= K @ PHt.T
-            P[:] = 0.5 * (P + P.T)
+            for i in range(n):
+                dx[i] = 0.0
+                for k in range(3):
+                    dx[i] += K[i, k] * residual[k]
+            for i in range(n):
+                for l in range(i, n):
+                    for k in range(3):
+                        P[i, l] -= K[i, k] * PHt[l, k]
+                    P[l, i] = P[i, l]
             exponential(R, mean, dx[3], dx[4], dx[5])
-            C[:] = R @ C
-            v[:] = R @ v + dx[:3]
-            b_f += dx[6:9]
-            b_w += dx[9:12]
-            b_d += dx[12:15]
+            product(C_mid, R, C)
+            C[:] = C_mid
+            rotate(a, R, v)
+            for i in range(3):
+                v[i] = a[i] + dx[i]
+                b_f[i] += dx[6 + i]
+                b_w[i] += dx[9 + i]
+                b_d[i] += dx[12 + i]
             ping += 1
+
+
+@kernel
+def _gain(P: Array, C: Array, noise: Array, PHt: Array, covariance: Array, K: Array) -> None:
+    """P H^T, S and the gain, with H = [C^T, 0, 0, 0, I]."""
+    for i in range(SIZE):
+        for k in range(3):
+            PHt[i, k] = P[i, 12 + k]
+            for l in range(3):
+                PHt[i, k] += P[i, l] * C[l, k]
+    for i in range(3):
+        for k in range(3):
+            covariance[i, k] = PHt[12 + i, k]
+            for l in range(3):
+                covariance[i, k] += C[l, i] * PHt[l, k]
+        covariance[i, i] += noise[i]
+    inverse = np.linalg.inv(covariance)
+    for i in range(SIZE):
+        for k in range(3):
+            K[i, k] = 0.0
+            for l in range(3):
+                K[i, k] += PHt[i, l] * inverse[l, k]
+
+
+@kernel
+def _spread(P: Array, Phi: Array, Q: Array) -> None:
+    """P = Phi P Phi^T + Q in place; Phi is the identity but for its first six rows and a decay."""
+    for side in range(2):
+        for i in range(6):  # the rows below are still old: row i depends on later ones only
+            for k in range(max(i + 1, 3), 12):
+                f = Phi[i, k]
+                if f != 0.0:
+                    for l in range(SIZE):
+                        if side == 0:
+                            P[i, l] += f * P[k, l]
+                        else:
+                            P[l, i] += f * P[l, k]
+        for i in range(12, SIZE):
+            for l in range(SIZE):
+                if side == 0:
+                    P[i, l] *= Phi[i, i]
+                else:
+                    P[l, i] *= Phi[i, i]
+    P += Q
