@@ -18,9 +18,9 @@ import numpy as np
 
 from insdvl.arrays import Array
 from insdvl.studies.teaching.lesson import Lesson
-from insdvl.studies.teaching.prior import columns, prior
+from insdvl.studies.teaching.prior import prior
 from insdvl.studies.teaching.residuals import innovations
-from insdvl.tuner.features.band_groups import WEIGHED, group_bounds
+from insdvl.tuner.features.band_groups import GROUP_FEATURE_NAMES
 from insdvl.tuner.windows import CHANNELS
 
 #: Logarithms of the factors on the sigma of the DVL, white and slow: one sigma.
@@ -31,9 +31,9 @@ CONSTANT_SPREAD = 5.0
 
 _TRIAD = CHANNELS // 2
 _DIFFERENCE = 1e-4  # of the numerical derivatives
-_TOLERANCE = 1e-3  # of the logarithm of the posterior
+_TOLERANCE = 0.02  # of the logarithm of the posterior
 _MOST_STEPS = 30
-_LONGEST_STEP = 1.5  # of each number
+_LONGEST_STEP = 4.0  # of each number
 
 
 class Family(Protocol):
@@ -68,15 +68,14 @@ class Bands:
 
     def variances(self, lesson: Lesson, numbers: Array) -> Array:
         """See `Family`."""
-        outputs = self.features(lesson.X)
-        outputs = np.einsum("kcd,cd->kc", outputs, np.repeat(self.of_groups(numbers), _TRIAD, 0))
-        low, high = group_bounds(lesson.X.reshape(-1, lesson.X.shape[-1]))
-        bounded = np.clip(outputs.ravel(), low, high).reshape(outputs.shape)
-        return np.asarray(lesson.scale * np.exp(bounded))
+        weights = np.repeat(self.of_groups(numbers), _TRIAD, axis=0)
+        return np.asarray(
+            lesson.scale * np.exp(np.einsum("kcd,cd->kc", self.features(lesson.X), weights))
+        )
 
     def features(self, X: Array) -> Array:
-        """Ones and features (K, 6, D) that have a weight; the level is that over the vehicle's."""
-        A = columns(X)
+        """Ones and features (K, 6, D); the level is that over the vehicle's."""
+        A = np.concatenate([np.ones((*X.shape[:-1], 1)), X], axis=-1)
         A[:, :, -1] -= np.repeat(self.levels, _TRIAD)
         return A
 
@@ -87,7 +86,7 @@ class Bands:
     @property
     def names(self) -> tuple[str, ...]:
         """Of the numbers."""
-        of_group = ("constant", *WEIGHED)
+        of_group = ("constant", *GROUP_FEATURE_NAMES)
         return (*of_group, *of_group, *DVL_NUMBERS)
 
 

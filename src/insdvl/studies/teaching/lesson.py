@@ -56,7 +56,7 @@ class Lesson:
         samples: (N, 6) of the IMU.
         stretch: Pings and increments.
         scored: (M,) which pings count.
-        X: (K, 6, 8) features of the windows.
+        X: (K, 6, 7) features of the windows.
         scale: (K, 6) their scales.
     """
 

@@ -13,7 +13,7 @@ from insdvl.arrays import Array
 from insdvl.jobs.options import Workers
 from insdvl.jobs.pool import open_pool
 from insdvl.studies.training.vehicles import KINDS, Recipe, Vehicles, build
-from insdvl.tuner.features.band_groups import GROUP_FEATURE_NAMES, WEIGHED
+from insdvl.tuner.features.band_groups import GROUP_FEATURE_NAMES
 from insdvl.tuner.windows import CHANNELS
 
 #: Ridge of features, per example.
@@ -23,7 +23,7 @@ OWN_WEIGHT, OWN_CONSTANT = 0.15, 2.0
 #: Vehicles of each kind, their seed, and the length of their missions [s].
 VEHICLES, SEED, DURATION = 20, 0, 320.0
 
-#: Constant and weights (of `WEIGHED`) of the six kinds, in their order: accelerometers, gyroscopes.
+#: Constant and weights (of `GROUP_FEATURE_NAMES`) of the six kinds, in their order: accelerometers, gyroscopes.
 WEIGHTS = np.array(
     [
         [
@@ -49,14 +49,8 @@ WEIGHTS = np.array(
 def prior() -> tuple[Array, Array]:
     """Mean (2, D) and covariance (2, D, D) of constant and weights of both groups of channels."""
     mean = WEIGHTS.mean(axis=1)
-    own = np.diag([OWN_CONSTANT, *[OWN_WEIGHT] * len(WEIGHED)]) ** 2
+    own = np.diag([OWN_CONSTANT, *[OWN_WEIGHT] * len(GROUP_FEATURE_NAMES)]) ** 2
     return mean, np.array([np.cov(kinds.T) + own for kinds in WEIGHTS])
-
-
-def columns(X: Array) -> Array:
-    """Ones and the features (..., D) that have a weight, of all features (..., F)."""
-    weighed = X[..., [GROUP_FEATURE_NAMES.index(name) for name in WEIGHED]]
-    return np.concatenate([np.ones((*X.shape[:-1], 1)), weighed], axis=-1)
 
 
 def weights_of(data: Vehicles) -> Array:
@@ -65,11 +59,11 @@ def weights_of(data: Vehicles) -> Array:
     The level is counted from the mean of each channel of each vehicle.
     """
     channel = np.arange(data.q.size) % CHANNELS
-    A, y = columns(data.X), np.log(data.q / data.scale)
+    A, y = np.hstack([np.ones((len(data.X), 1)), data.X]), np.log(data.q / data.scale)
     own = (data.kind * (data.vehicle.max() + 1) + data.vehicle) * CHANNELS + channel
     total = np.bincount(own, weights=A[:, -1])
     A[:, -1] -= (total / np.maximum(np.bincount(own), 1))[own]
-    penalty = RIDGE * np.diag([0.0] + [1.0] * len(WEIGHED))
+    penalty = RIDGE * np.diag([0.0] + [1.0] * len(GROUP_FEATURE_NAMES))
     found = np.empty((2, len(KINDS), A.shape[1]))
     for group in range(2):
         for kind in range(len(KINDS)):

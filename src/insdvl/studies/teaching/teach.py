@@ -24,7 +24,7 @@ from insdvl.studies.teaching.fit import (
     log_likelihood,
 )
 from insdvl.studies.teaching.lesson import Lesson
-from insdvl.tuner.features.band_groups import GROUP_FEATURE_NAMES, WEIGHED
+from insdvl.tuner.features.band_groups import GROUP_FEATURE_NAMES
 from insdvl.tuner.features.bands import WINDOW
 from insdvl.tuner.weights import Weights
 
@@ -106,7 +106,7 @@ def teach(lessons: Sequence[Lesson], say: Callable[[str], None] = lambda _: None
             f"than by the weights of simulated vehicles (log likelihood {total[answer]:.1f} "
             f"against {total[SIMULATED]:.1f})"
         )
-    regressor = Weights(_weights(family, found)) if answer == BANDS else constant_of(lessons)
+    regressor = _of_bands(family, lessons, found) if answer == BANDS else constant_of(lessons)
     card = {
         "kind": "weights",
         "feature_schema": "taught",
@@ -147,7 +147,7 @@ def constant_of(lessons: Sequence[Lesson]) -> Weights:
     weights = np.zeros((len(GROUPS), len(GROUP_FEATURE_NAMES) + 1))
     weights[:, 0] = fit(Constant(lessons), lessons).numbers[: len(GROUPS)]
     weights[:, -1] = -1.0
-    return Weights(weights)
+    return _limited(weights, lessons)
 
 
 def _spreads(family: Bands, lessons: Sequence[Lesson], found: Fit) -> list[tuple[float, float]]:
@@ -191,13 +191,20 @@ def _parts(lessons: Sequence[Lesson], part: Array) -> list[str]:
     ]
 
 
-def _weights(family: Bands, found: Fit) -> Array:
-    """(2, F + 1) constants and weights of all features."""
-    weights = np.zeros((len(GROUPS), len(GROUP_FEATURE_NAMES) + 1))
-    at = [0, *(GROUP_FEATURE_NAMES.index(name) + 1 for name in WEIGHED)]
-    weights[:, at] = family.of_groups(found.numbers)
+def _of_bands(family: Bands, lessons: Sequence[Lesson], found: Fit) -> Weights:
+    """The model of weights of the bands."""
+    weights = family.of_groups(found.numbers).copy()
     weights[:, 0] -= weights[:, -1] * family.levels
-    return weights
+    return _limited(weights, lessons)
+
+
+def _limited(weights: Array, lessons: Sequence[Lesson]) -> Weights:
+    """A model whose outputs stay within those of the lessons."""
+    X = np.concatenate([lesson.X for lesson in lessons])
+    X = X.reshape(len(X), len(GROUPS), -1, X.shape[-1])
+    outputs = weights[:, :1, None] + np.einsum("kgcf,gf->gkc", X, weights[:, 1:])
+    outputs = outputs.reshape(len(GROUPS), -1)
+    return Weights(weights, np.stack([outputs.min(axis=1), outputs.max(axis=1)], axis=1))
 
 
 def _table(family: Bands, found: Fit, group: int) -> list[tuple[str, float, float, float, float]]:
@@ -206,7 +213,7 @@ def _table(family: Bands, found: Fit, group: int) -> list[tuple[str, float, floa
     prior_sigma = np.sqrt(np.diagonal(family.covariance))
     columns = (family.mean, prior_sigma, found.numbers, found.sigma)
     rows = zip(*(column[own].tolist() for column in columns), strict=True)
-    return [(name, *row) for name, row in zip(("constant", *WEIGHED), rows, strict=True)]
+    return [(name, *row) for name, row in zip(("constant", *GROUP_FEATURE_NAMES), rows, strict=True)]
 
 
 def _lines(

@@ -22,19 +22,16 @@ GROUPS = {
     "near_3.25_5.75": ("near", slice(_FROM_SINGLE, _FROM_SINGLE + 1)),
     "near_5.75_50": ("near", slice(_FROM_SINGLE + 1, _FAST)),
 }
-GROUP_FEATURE_NAMES = (*GROUPS, "change", "greatest", "level")
-#: Features that a model gives a weight; the greatest band is there for the bound alone.
-WEIGHED = tuple(name for name in GROUP_FEATURE_NAMES if name != "greatest")
+GROUP_FEATURE_NAMES = (*GROUPS, "change", "level")
 
-_GREATEST = GROUP_FEATURE_NAMES.index("greatest")
 _SMALLEST_RATIO = 1e-12  # keeps the logarithm of an empty band finite
 
 
 def group_features(windows: Array) -> tuple[Array, Array]:
-    """Features (M, 8) and scales (M,) of windows (M, N), N >= 200, of one channel each.
+    """Features (M, 7) and scales (M,) of windows (M, N), N >= 200, of one channel each.
 
-    ``change`` is how far the last 2 s are above the last 6 s, from 3.25 Hz on, and ``greatest`` the
-    greatest of all bands. A window without noise has the scale 0, and zeros.
+    ``change`` is how far the last 2 s are above the last 6 s, from 3.25 Hz on. A window without
+    noise has the scale 0, and zeros.
 
     Raises:
         ValueError: `windows` has another shape, or a value is not within 1e70 of zero.
@@ -53,12 +50,7 @@ def group_features(windows: Array) -> tuple[Array, Array]:
         X[:, k] = log[source][:, members].mean(axis=1)
     fast = slice(_FROM_SINGLE, _FAST)
     X[:, len(GROUPS)] = (log["now"] - log["near"])[:, fast].mean(axis=1)
-    X[:, _GREATEST] = np.maximum(log["near"].max(axis=1), log["slow"].max(axis=1))
     X[:, -1] = np.log(unit[:, 0])
     X[~noisy] = 0.0
     return X, scale
 
-
-def group_bounds(X: Array) -> tuple[Array, Array]:
-    """Lowest and highest output (M,) for features (M, 8): the least band, the greatest band."""
-    return np.zeros(len(X)), np.maximum(X[:, _GREATEST], 0.0)

@@ -20,7 +20,6 @@ from insdvl.tuner.features.band_features import (
 )
 from insdvl.tuner.features.band_groups import (
     GROUP_FEATURE_NAMES,
-    group_bounds,
     group_features,
 )
 from insdvl.tuner.features.bands import HISTORY
@@ -129,7 +128,6 @@ SCHEMAS: Mapping[str, Schema] = MappingProxyType(
             relative=True,
             min_samples=BANDS_WINDOW,
             history=HISTORY,
-            bounds=group_bounds,
         ),
         "paper": Schema(FEATURE_NAMES, _paper, relative=False, min_samples=MIN_SAMPLES),
         "scaled_window": Schema((), _scaled_window, relative=True, min_samples=DEGREE + 2),
