@@ -1,1 +1,1 @@
-"""Weights of the bands of one vehicle, with its DVL as the teacher (docs/explanation/dvl-as-teacher.md)."""
+"""Weights of the bands of one vehicle: its DVL is the teacher (explanation/dvl-as-teacher.md)."""

@@ -6,6 +6,7 @@ biases and the pings that can be believed; the rest is the likelihood's.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -193,7 +194,7 @@ def _divided(bounds_ns: Stamps) -> Stamps:
     longest_ns = round(LONGEST_STEP * NS)
     further = [
         np.arange(a + longest_ns, b, longest_ns)
-        for a, b in zip(bounds_ns[:-1], bounds_ns[1:], strict=True)
+        for a, b in pairwise(bounds_ns)
         if b - a > longest_ns
     ]
     return np.unique(np.concatenate([bounds_ns, *further]))

@@ -2,9 +2,9 @@
 
 Six kinds of simulated vehicles (training/vehicles.py) have six sets of weights, each by ridge
 regression of log(q / s^2) with the true effective q. A real vehicle is taken for a seventh: its
-weights are normal with the mean of the six and the covariance between them. Beside that every weight
-has a spread of its own, and the constant a wide one, since six kinds are few. The tables below are
-printed by ``python -m insdvl.studies.teaching.prior``.
+weights are normal with the mean of the six and the covariance between them. Beside that every
+weight has a spread of its own, and the constant a wide one, since six kinds are few. The table
+below is printed by ``python -m insdvl.studies.teaching.prior``.
 """
 
 import numpy as np
@@ -23,7 +23,7 @@ OWN_WEIGHT, OWN_CONSTANT = 0.15, 2.0
 #: Vehicles of each kind, their seed, and the length of their missions [s].
 VEHICLES, SEED, DURATION = 20, 0, 320.0
 
-#: Constant and weights (of `GROUP_FEATURE_NAMES`) of the six kinds, in their order: accelerometers, gyroscopes.
+#: Constants and weights of `GROUP_FEATURE_NAMES` of the six kinds: accelerometers, gyroscopes.
 WEIGHTS = np.array(
     [
         [

@@ -147,7 +147,7 @@ def _filter(
     nu: Array,
     S: Array,
 ) -> None:
-    """See `innovations`; ``density`` (J, 6) is of white noise, ``C``, ``v`` and ``P`` are used up."""
+    """See `innovations`; ``density`` (J, 6) is that of white noise; C, v and P are used up."""
     n = SIZE
     b_f, b_w, b_d = np.zeros(3), np.zeros(3), np.zeros(3)
     R, mean, C_mid = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
@@ -200,16 +200,16 @@ def _filter(
                 Phi[k, 6 + i] = -t * c[k]
                 Phi[k, 9 + i] = -t * u[k] - 0.5 * t * t * m[k]
                 Phi[3 + k, 9 + i] = -t * c[k]
-                for l in range(3):
-                    Q[k, l] += q_f * t * c[k] * c[l] + q_w * (
-                        t * u[k] * u[l]
-                        + 0.5 * t * t * (u[k] * m[l] + m[k] * u[l])
-                        + t * t * t / 3.0 * m[k] * m[l]
+                for o in range(3):
+                    Q[k, o] += q_f * t * c[k] * c[o] + q_w * (
+                        t * u[k] * u[o]
+                        + 0.5 * t * t * (u[k] * m[o] + m[k] * u[o])
+                        + t * t * t / 3.0 * m[k] * m[o]
                     )
-                    Q[3 + k, 3 + l] += q_w * t * c[k] * c[l]
-                    cross_term = q_w * (t * u[k] * c[l] + 0.5 * t * t * m[k] * c[l])
-                    Q[k, 3 + l] += cross_term
-                    Q[3 + l, k] += cross_term
+                    Q[3 + k, 3 + o] += q_w * t * c[k] * c[o]
+                    cross_term = q_w * (t * u[k] * c[o] + 0.5 * t * t * m[k] * c[o])
+                    Q[k, 3 + o] += cross_term
+                    Q[3 + o, k] += cross_term
         Phi[0, 4], Phi[0, 5] = -t * g_n[2], t * g_n[1]
         Phi[1, 3], Phi[1, 5] = t * g_n[2], -t * g_n[0]
         Phi[2, 3], Phi[2, 4] = -t * g_n[1], t * g_n[0]
@@ -226,10 +226,10 @@ def _filter(
                 for k in range(3):
                     dx[i] += K[i, k] * residual[k]
             for i in range(n):
-                for l in range(i, n):
+                for o in range(i, n):
                     for k in range(3):
-                        P[i, l] -= K[i, k] * PHt[l, k]
-                    P[l, i] = P[i, l]
+                        P[i, o] -= K[i, k] * PHt[o, k]
+                    P[o, i] = P[i, o]
             exponential(R, mean, dx[3], dx[4], dx[5])
             product(C_mid, R, C)
             C[:] = C_mid
@@ -248,20 +248,20 @@ def _gain(P: Array, C: Array, noise: Array, PHt: Array, covariance: Array, K: Ar
     for i in range(SIZE):
         for k in range(3):
             PHt[i, k] = P[i, 12 + k]
-            for l in range(3):
-                PHt[i, k] += P[i, l] * C[l, k]
+            for o in range(3):
+                PHt[i, k] += P[i, o] * C[o, k]
     for i in range(3):
         for k in range(3):
             covariance[i, k] = PHt[12 + i, k]
-            for l in range(3):
-                covariance[i, k] += C[l, i] * PHt[l, k]
+            for o in range(3):
+                covariance[i, k] += C[o, i] * PHt[o, k]
         covariance[i, i] += noise[i]
     inverse = np.linalg.inv(covariance)
     for i in range(SIZE):
         for k in range(3):
             K[i, k] = 0.0
-            for l in range(3):
-                K[i, k] += PHt[i, l] * inverse[l, k]
+            for o in range(3):
+                K[i, k] += PHt[i, o] * inverse[o, k]
 
 
 @kernel
@@ -272,15 +272,15 @@ def _spread(P: Array, Phi: Array, Q: Array) -> None:
             for k in range(max(i + 1, 3), 12):
                 f = Phi[i, k]
                 if f != 0.0:
-                    for l in range(SIZE):
+                    for o in range(SIZE):
                         if side == 0:
-                            P[i, l] += f * P[k, l]
+                            P[i, o] += f * P[k, o]
                         else:
-                            P[l, i] += f * P[l, k]
+                            P[o, i] += f * P[o, k]
         for i in range(12, SIZE):
-            for l in range(SIZE):
+            for o in range(SIZE):
                 if side == 0:
-                    P[i, l] *= Phi[i, i]
+                    P[i, o] *= Phi[i, i]
                 else:
-                    P[l, i] *= Phi[i, i]
+                    P[o, i] *= Phi[i, i]
     P += Q

@@ -93,7 +93,7 @@ def teach(lessons: Sequence[Lesson], say: Callable[[str], None] = lambda _: None
         )
         raise TeachingError(
             f"the recordings do not say enough: the standard error of log q is {told}; below "
-            f"{LARGEST_SIGMA:g} of one group is needed. Longer recordings, or a better DVL, say more"
+            f"{LARGEST_SIGMA:g} of one group is needed. Longer recordings or a better DVL say more"
         )
     held = _held_out(lessons, part, found)
     total = {answer: float(values.sum()) for answer, values in held.items()}
@@ -213,7 +213,8 @@ def _table(family: Bands, found: Fit, group: int) -> list[tuple[str, float, floa
     prior_sigma = np.sqrt(np.diagonal(family.covariance))
     columns = (family.mean, prior_sigma, found.numbers, found.sigma)
     rows = zip(*(column[own].tolist() for column in columns), strict=True)
-    return [(name, *row) for name, row in zip(("constant", *GROUP_FEATURE_NAMES), rows, strict=True)]
+    names = ("constant", *GROUP_FEATURE_NAMES)
+    return [(name, *row) for name, row in zip(names, rows, strict=True)]
 
 
 def _lines(

@@ -53,4 +53,3 @@ def group_features(windows: Array) -> tuple[Array, Array]:
     X[:, -1] = np.log(unit[:, 0])
     X[~noisy] = 0.0
     return X, scale
-
