@@ -184,8 +184,8 @@ def scored_rows(shared: Shared, name: str) -> Result:
             f, w = _NO_FLOOR
             noise = replace(
                 external.process_noise,
-                accelerometer_floor=(f,) * 3,
-                gyroscope_floor=(w,) * 3,
+                accelerometer_floor=f,
+                gyroscope_floor=w,
             )
             free = replace(external, process_noise=noise)
             rows[row + FREE] = _numbers(settings, recording, free, received, used)

@@ -10,7 +10,7 @@ information of innovations nu with covariances S is
 and needs first derivatives alone.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -107,21 +107,20 @@ class Constant:
 
 
 class Fixed:
-    """The numbers of another family as they are; only those of the DVL are found.
+    """A process noise that is known; only the numbers of the DVL are found.
 
     Args:
-        family: The other family.
-        numbers: Of its process noise, or more.
+        variances: Variances per sample (K, 6) at the windows of a lesson.
     """
 
-    def __init__(self, family: Bands, numbers: Array) -> None:
-        self._family, self._numbers = family, numbers[: 2 * family.size]
+    def __init__(self, variances: Callable[[Lesson], Array]) -> None:
+        self._variances = variances
         self.mean = np.zeros(len(DVL_NUMBERS))
         self.covariance = DVL_SPREAD**2 * np.eye(len(DVL_NUMBERS))
 
     def variances(self, lesson: Lesson, numbers: Array) -> Array:
         """See `Family`."""
-        return self._family.variances(lesson, self._numbers)
+        return self._variances(lesson)
 
 
 @dataclass(frozen=True, eq=False)

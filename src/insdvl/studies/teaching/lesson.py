@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from insdvl.arrays import Array, Stamps
 from insdvl.navigation.coordinates import body_velocity_jacobian
@@ -59,14 +60,16 @@ class Lesson:
         scored: (M,) which pings count.
         X: (K, 6, 7) features of the windows.
         scale: (K, 6) their scales.
+        nominal: (6,) variances per sample of the configuration.
     """
 
     name: str
     samples: Array
     stretch: Stretch
-    scored: Array
+    scored: NDArray[np.bool_]
     X: Array
     scale: Array
+    nominal: Array
 
     @property
     def count(self) -> int:
@@ -134,7 +137,11 @@ def lesson_of(
     stretch = _stretch(parameters, folded, begins[0], stamps_ns, samples, pings, window_ns)
     ping_ns = np.array([e.stamp_ns for e in pings])
     scored = ping_ns > at + round(UNSCORED * NS)
-    return Lesson(name, samples, stretch, scored, X[..., :-1], X[..., -1])
+    noise = parameters.process_noise
+    nominal = np.array([*noise.accelerometer_variance, *noise.gyroscope_variance])
+    if noise.convention == "density":
+        nominal = nominal / stretch.interval
+    return Lesson(name, samples, stretch, scored, X[..., :-1], X[..., -1], nominal)
 
 
 def _features(windows: Array) -> Array:

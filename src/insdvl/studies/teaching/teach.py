@@ -7,10 +7,12 @@ taught: weights of the bands; a constant; or neither, where the simulated vehicl
 import platform
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from insdvl.arrays import Array
 from insdvl.studies.results.recordings import stretches
@@ -29,7 +31,9 @@ from insdvl.tuner.features.bands import WINDOW
 from insdvl.tuner.weights import Weights
 
 #: Answers, as in the card.
-BANDS, CONSTANT, SIMULATED = "bands", "constant", "simulated vehicles"
+BANDS, CONSTANT = "bands", "constant"
+#: What they are compared with: the mean of the prior, and the variances of the configuration.
+SIMULATED, CONFIGURED = "simulated vehicles", "configuration"
 #: Names of the groups of channels.
 GROUPS = ("accelerometers", "gyroscopes")
 #: Largest standard error of log q that still is an answer: a factor e, which costs about 3 % of
@@ -165,9 +169,9 @@ def _spreads(family: Bands, lessons: Sequence[Lesson], found: Fit) -> list[tuple
     return spreads
 
 
-def _held_out(lessons: Sequence[Lesson], part: Array, found: Fit) -> dict[str, Array]:
+def _held_out(lessons: Sequence[Lesson], part: NDArray[np.int64], found: Fit) -> dict[str, Array]:
     """Log likelihood of the recordings of each stretch, by answers fitted without them."""
-    held: dict[str, list[float]] = {BANDS: [], CONSTANT: [], SIMULATED: []}
+    held: dict[str, list[float]] = {BANDS: [], CONSTANT: [], SIMULATED: [], CONFIGURED: []}
     for own in np.unique(part):
         others = [lesson for lesson, k in zip(lessons, part, strict=True) if k != own]
         test = [lesson for lesson, k in zip(lessons, part, strict=True) if k == own]
@@ -175,7 +179,8 @@ def _held_out(lessons: Sequence[Lesson], part: Array, found: Fit) -> dict[str, A
         families: dict[str, tuple[Family, Array | None]] = {
             BANDS: (bands, found.numbers),
             CONSTANT: (Constant(others), None),
-            SIMULATED: (Fixed(bands, bands.mean), None),
+            SIMULATED: (Fixed(partial(bands.variances, numbers=bands.mean)), None),
+            CONFIGURED: (Fixed(lambda x: np.tile(x.nominal, (len(x.scale), 1))), None),
         }
         for answer, (family, start) in families.items():
             numbers = fit(family, others, start).numbers
@@ -183,7 +188,7 @@ def _held_out(lessons: Sequence[Lesson], part: Array, found: Fit) -> dict[str, A
     return {answer: np.array(values) for answer, values in held.items()}
 
 
-def _parts(lessons: Sequence[Lesson], part: Array) -> list[str]:
+def _parts(lessons: Sequence[Lesson], part: NDArray[np.int64]) -> list[str]:
     """Names of the recordings of each stretch."""
     return [
         "+".join(lesson.name for lesson, k in zip(lessons, part, strict=True) if k == own)
@@ -234,8 +239,8 @@ def _lines(
         before, after = spreads[k]
         enough = "" if after <= LARGEST_SIGMA else ": the simulated vehicles say most of it"
         lines.append(f"  {'standard error of log q':30} {before:20.2f} {after:18.2f}{enough}")
-    for name, reference in ((SIMULATED, held[SIMULATED]), (CONSTANT, held[CONSTANT])):
-        gain = held[BANDS] - reference
+    for name in (SIMULATED, CONFIGURED, CONSTANT):
+        gain = held[BANDS] - held[name]
         error = float(np.sqrt(len(gain) * np.var(gain, ddof=1)))
         lines.append(
             f"left out, bands over {name}: {gain.sum():+.1f} +- {error:.1f} in log likelihood, "
