@@ -30,6 +30,7 @@ from insdvl.studies.results.vehicle_runs import HAND_SET, Received, filtered, pr
 from insdvl.studies.teaching.lesson import lesson_of
 from insdvl.studies.teaching.teach import BANDS, CONSTANT, TeachingError, constant_of, teach
 from insdvl.tuner.features.bands import WINDOW
+from insdvl.tuner.features.differences import bounded
 from insdvl.tuner.features.schemas import SCHEMAS
 from insdvl.tuner.models import Model
 from insdvl.tuner.offline import tuned
@@ -172,7 +173,7 @@ def scored_rows(shared: Shared, name: str) -> Result:
         received = tuned(
             recording.stamps_ns,
             recording.samples,
-            model.variances,
+            bounded(model.variances, settings.tuner.difference_order, model.window),
             model.window,
             settings.tuner.rate,
             round(settings.tuner.max_gap * NS),
