@@ -2,10 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from recordings import record, save
 
+from insdvl.cli import main
 from insdvl.navigation.events import NS
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.simulation.drawn.scenarios import DRAWN, Scenario
@@ -22,6 +25,7 @@ from insdvl.studies.teaching.lesson import Lesson, LessonError, lesson_of
 from insdvl.studies.teaching.residuals import innovations
 from insdvl.studies.teaching.teach import TeachingError, teach
 from insdvl.timeline.recorded import fold_arrays
+from insdvl.tuner.models import load_model
 from insdvl.tuner.parameters import TunerParameters
 
 Q = np.repeat([1e-3, 1e-8], 3)
@@ -132,6 +136,60 @@ def test_a_vehicle_keeps_its_vibration_and_not_its_noise() -> None:
     np.testing.assert_array_equal(flights[0].f_b, drawn.f_b)
     np.testing.assert_array_equal(flights[1].truth.v_n, drawn.truth.v_n)
     assert (flights[1].q != drawn.q).any()
+
+
+CONFIG = """
+/**/insdvl_filter:
+  ros__parameters:
+    dvl: {noise_std: [0.02, 0.02, 0.02]}
+    process_noise:
+      accelerometer_variance: [1.0e-3, 1.0e-3, 1.0e-3]
+      gyroscope_variance: [1.0e-8, 1.0e-8, 1.0e-8]
+    initial: {mode: topic}
+/**/insdvl_replay:
+  ros__parameters: {imu_topic: /imu, dvl_topic: /dvl, ground_truth_topic: /truth}
+"""
+
+
+def recorded(folder: Path, seed: int, duration: float, dvl_rate: float = 1.0) -> Path:
+    (folder / "own.yaml").write_text(CONFIG)
+    flown = mission(seed, duration, dvl_rate)
+    return save(folder / f"dive{seed}", record(flown, every=100))
+
+
+def train(folder: Path, *bags: Path) -> int:
+    options = ("--config", f"{folder / 'own.yaml'}", "--out", f"{folder / 'models'}")
+    return main(["train", "--from-bags", *map(str, bags), *options])
+
+
+def test_the_command_names_the_recording_that_cannot_teach(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert train(tmp_path, recorded(tmp_path, 1, 25.0)) == 2
+    assert "dive1 has 4 measurements of the DVL" in capsys.readouterr().err
+    assert train(tmp_path, tmp_path / "nowhere") == 2
+    assert "nowhere" in capsys.readouterr().err
+    assert not (tmp_path / "models").exists()
+
+
+def test_one_recording_is_no_lesson_and_no_test(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert train(tmp_path, recorded(tmp_path, 2, 60.0, 5.0)) == 1
+    assert "no model: recordings of two different stretches" in capsys.readouterr().err
+    assert not (tmp_path / "models").exists()
+
+
+@pytest.mark.long
+def test_recordings_become_a_model_that_the_tuner_loads(tmp_path: Path) -> None:
+    """It knows the noise within a factor of 2, and its card says who taught it."""
+    bags = [recorded(tmp_path, seed, 200.0, 5.0) for seed in (21, 22, 23)]
+    assert train(tmp_path, *bags) == 0
+    model = load_model(str(tmp_path / "models" / "taught.npz"))
+    assert set(model.card["teacher"]["recordings"]) == {"dive21", "dive22", "dive23"}
+    rng = np.random.default_rng(1)
+    q = model.variances(np.sqrt(Q)[:, None] * rng.standard_normal((6, 2000)))
+    assert (np.abs(np.log(q[:3].mean() / Q[0])) < np.log(2.0)).all()
 
 
 def vibrating_lessons(seed: int) -> Sequence[Lesson]:
