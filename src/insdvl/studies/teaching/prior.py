@@ -53,10 +53,13 @@ def prior() -> tuple[Array, Array]:
     return mean, np.array([np.cov(kinds.T) + own for kinds in WEIGHTS])
 
 
-def weights_of(data: Vehicles) -> Array:
+def weights_of(data: Vehicles) -> tuple[Array, Array]:
     """Constant and weights (2, kinds, D) by ridge regression of each kind of vehicles.
 
     The level is counted from the mean of each channel of each vehicle.
+
+    Returns:
+        The weights, and the RMS (2, kinds) of the error of log q.
     """
     channel = np.arange(data.q.size) % CHANNELS
     A, y = np.hstack([np.ones((len(data.X), 1)), data.X]), np.log(data.q / data.scale)
@@ -64,24 +67,28 @@ def weights_of(data: Vehicles) -> Array:
     total = np.bincount(own, weights=A[:, -1])
     A[:, -1] -= (total / np.maximum(np.bincount(own), 1))[own]
     penalty = RIDGE * np.diag([0.0] + [1.0] * len(GROUP_FEATURE_NAMES))
-    found = np.empty((2, len(KINDS), A.shape[1]))
+    found, rms = np.empty((2, len(KINDS), A.shape[1])), np.empty((2, len(KINDS)))
     for group in range(2):
         for kind in range(len(KINDS)):
             some = (channel // (CHANNELS // 2) == group) & (data.kind == kind)
             normal = A[some].T @ A[some] / some.sum() + penalty
             found[group, kind] = np.linalg.solve(normal, A[some].T @ y[some] / some.sum())
-    return found
+            rms[group, kind] = np.sqrt(np.mean((A[some] @ found[group, kind] - y[some]) ** 2))
+    return found, rms
 
 
 def main() -> None:
-    """Print the table of this file."""
+    """Print the table of this file, and how well it fits."""
     with open_pool(Workers(jobs=1)) as pool:
         data = build(Recipe("taught", SEED, VEHICLES, DURATION), pool)
-    for kinds in weights_of(data):
+    found, rms = weights_of(data)
+    for kinds in found:
         print("        [")
         for row in kinds:
             print("            [" + ", ".join(f"{weight:.3f}" for weight in row) + "],")
         print("        ],")
+    for kind, errors in zip(KINDS, rms.T, strict=True):
+        print(f"{kind}: RMS of log q {errors[0]:.2f} and {errors[1]:.2f}")
 
 
 if __name__ == "__main__":
