@@ -9,6 +9,8 @@ import pytest
 from recordings import record, save
 
 from insdvl.cli import main
+from insdvl.jobs.options import Workers
+from insdvl.jobs.pool import open_pool
 from insdvl.navigation.events import NS
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.simulation.drawn.scenarios import DRAWN, Scenario
@@ -19,11 +21,13 @@ from insdvl.simulation.sensors.dvl import DvlModel
 from insdvl.simulation.trajectories import BASELINE
 from insdvl.studies.evaluation.approaches import Setting
 from insdvl.studies.evaluation.taught import lessons_of
+from insdvl.studies.teaching import prior
 from insdvl.studies.teaching.fit import Bands, Constant, fit, log_likelihood
 from insdvl.studies.teaching.increments import increments
 from insdvl.studies.teaching.lesson import Lesson, LessonError, lesson_of
 from insdvl.studies.teaching.residuals import innovations
 from insdvl.studies.teaching.teach import TeachingError, teach
+from insdvl.studies.training.vehicles import Recipe, build
 from insdvl.timeline.recorded import fold_arrays
 from insdvl.tuner.models import load_model
 from insdvl.tuner.parameters import TunerParameters
@@ -229,3 +233,11 @@ def test_standard_errors_are_those_of_repeated_lessons() -> None:
         found = fit(Constant(lessons), lessons)
         within += int(np.sum(np.abs(found.numbers[:2] - true) < 2.0 * found.sigma[:2]))
     assert within >= 42
+
+
+@pytest.mark.long
+def test_the_table_of_the_prior_is_what_its_vehicles_say() -> None:
+    with open_pool(Workers(jobs=1)) as pool:
+        recipe = Recipe("taught", prior.SEED, prior.VEHICLES, prior.DURATION)
+        found, _ = prior.weights_of(build(recipe, pool))
+    np.testing.assert_allclose(found, prior.WEIGHTS, atol=2e-3)

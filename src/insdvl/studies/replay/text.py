@@ -27,7 +27,7 @@ _ALWAYS = (
 _WITHHELD = (
     ("error", "error", "m/s"),
     ("log_likelihood", "log likelihood", ""),
-    ("covered", "share within 95 %", ""),
+    ("covered", "inside 95 %", ""),
 )
 
 
