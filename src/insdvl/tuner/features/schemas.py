@@ -122,6 +122,8 @@ SCHEMAS: Mapping[str, Schema] = MappingProxyType(
             relative=True,
             min_samples=MIN_RESIDUAL_SAMPLES,
         ),
+        "paper": Schema(FEATURE_NAMES, _paper, relative=False, min_samples=MIN_SAMPLES),
+        "scaled_window": Schema((), _scaled_window, relative=True, min_samples=DEGREE + 2),
         "taught": Schema(
             GROUP_FEATURE_NAMES,
             group_features,
@@ -129,8 +131,6 @@ SCHEMAS: Mapping[str, Schema] = MappingProxyType(
             min_samples=BANDS_WINDOW,
             history=HISTORY,
         ),
-        "paper": Schema(FEATURE_NAMES, _paper, relative=False, min_samples=MIN_SAMPLES),
-        "scaled_window": Schema((), _scaled_window, relative=True, min_samples=DEGREE + 2),
         "window": Schema((), _window, relative=False, min_samples=1),
     }
 )
