@@ -246,6 +246,8 @@ def _lines(
             f"left out, bands over {name}: {gain.sum():+.1f} +- {error:.1f} in log likelihood, "
             f"better on {int(np.sum(gain > 0.0))} of {len(gain)}"
         )
+    if not found.converged:
+        lines.append("The fit of the bands has not come to its end: its numbers are preliminary.")
     if answer == CONSTANT:
         lines.append(
             "The bands do not predict a recording that was left out better than a constant: the "
