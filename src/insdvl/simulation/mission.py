@@ -87,6 +87,8 @@ class Mission:
         return stamps, self.q[np.searchsorted(begins, stamps, side="right") - 1]
 
 
+_STREAMS = 7  # random streams of a mission
+
 DEFAULT_IMU = ImuModel()
 DEFAULT_DVL = DvlModel()
 DEFAULT_DEPTH = DepthModel()
@@ -116,6 +118,12 @@ def _ideal(trajectory: Trajectory, duration: float, rate: float, earth_rate: boo
     return elapsed_ns, truth, f_b, w_ib_b
 
 
+def _drawn_stream(seed: np.random.SeedSequence) -> np.random.Generator:
+    """The random stream of what is drawn of a mission with a scenario."""
+    again = np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key)
+    return np.random.default_rng(again).spawn(_STREAMS)[-1]
+
+
 #: For motions that all runs of a Monte Carlo study share.
 _shared = lru_cache(maxsize=4)(_ideal)
 
@@ -132,6 +140,7 @@ def simulate(
     heading: HeadingModel = DEFAULT_HEADING,
     earth_rate: bool = True,
     start_ns: int = 0,
+    vehicle: np.random.SeedSequence | None = None,
 ) -> Mission:
     """Simulate a mission.
 
@@ -152,6 +161,8 @@ def simulate(
         heading: The heading sensor.
         earth_rate: See `Trajectory.truth`.
         start_ns: Stamp of the start.
+        vehicle: Seed of another mission with this scenario, whose vehicle flies this one; see
+            `Scenario.draw`. By default the vehicle is drawn as well.
 
     Raises:
         ValueError: The duration is longer than the trajectory or shorter than one IMU interval.
@@ -163,14 +174,15 @@ def simulate(
             f"duration must be within {1.0 / imu.rate:g} to {trajectory.duration:g} s, "
             f"got {duration!r}"
         )
-    streams = np.random.default_rng(seed).spawn(7)
+    streams = np.random.default_rng(seed).spawn(_STREAMS)
     profile_rng, noise_rng, bias_rng, dvl_rng, depth_rng, heading_rng, drawn_rng = streams
     dt = 1.0 / imu.rate
     drawn: Disturbances | None = None
     ideal: Callable[[Trajectory, float, float, bool], _Motion] = _shared
     if isinstance(noise, Scenario):
         draw_rng, error_rng = drawn_rng.spawn(2)
-        drawn = noise.draw(duration, imu.rate, draw_rng)
+        own = None if vehicle is None else _drawn_stream(vehicle).spawn(2)[0]
+        drawn = noise.draw(duration, imu.rate, draw_rng, own)
         moved = drawn.moved(trajectory)
         ideal = _shared if moved is trajectory else _ideal
         trajectory, dvl, noise = moved, drawn.instrument(dvl), noise.profile()

@@ -18,10 +18,11 @@ from typing import Any, Protocol
 
 from insdvl.arrays import Array
 from insdvl.files import read, read_json, shown, write
-from insdvl.tuner import forest, network
+from insdvl.tuner import forest, network, weights
 from insdvl.tuner.features.schemas import SCHEMAS, Schema
 from insdvl.tuner.forest import Forest
 from insdvl.tuner.network import Network
+from insdvl.tuner.weights import Weights
 
 #: Required fields of a card and their types; all others are for people.
 CARD_FIELDS = {
@@ -75,6 +76,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
     {
         "forest": Kind(".npz", forest.MAX_BYTES, Forest.load),
         "network": Kind(".onnx", network.MAX_BYTES, Network.load),
+        "weights": Kind(".npz", weights.MAX_BYTES, Weights.load),
     }
 )
 
@@ -106,7 +108,8 @@ class Model:
         """Variance per sample of the noise in each window.
 
         Args:
-            windows: (M, N) of window to history samples, one channel each, in its unit.
+            windows: (M, N) of window to history samples, one channel each, in its unit; the six
+                channels of a time together, in their order.
 
         Returns:
             (M,), in the square of that unit.

@@ -83,8 +83,30 @@ def tuned(
     Raises:
         ValueError: The stamps do not increase, or `estimate` rejects a window.
     """
+    return at_windows(stamps_ns, samples, estimate, (), window, rate, max_gap_ns, history)
+
+
+def at_windows(
+    stamps_ns: Stamps,
+    samples: Array,
+    compute: Callable[[Array], Array],
+    shape: tuple[int, ...],
+    window: int,
+    rate: float,
+    max_gap_ns: int,
+    history: int | None = None,
+) -> tuple[Stamps, Array]:
+    """Anything that is computed of the windows of a tuner; see `tuned` for the other arguments.
+
+    Args:
+        compute: Maps windows (M, N) of one channel each to arrays (M, *shape).
+        shape: Of the result of one window.
+
+    Returns:
+        Stamps (K,) of the windows, and the results (K, 6, *shape).
+    """
     closing, filled = closing_samples(stamps_ns, window, rate, max_gap_ns)
-    variances = np.empty((closing.size, CHANNELS))
+    results = np.empty((closing.size, CHANNELS, *shape))
     lengths = np.minimum(filled, history or window)
     for length in np.unique(lengths):
         of_length = np.flatnonzero(lengths == length)
@@ -92,5 +114,5 @@ def tuned(
         for first in range(0, of_length.size, _AT_ONCE):
             some = of_length[first : first + _AT_ONCE]
             chosen = np.ascontiguousarray(windows[closing[some] - (length - 1)])
-            variances[some] = estimate(chosen.reshape(-1, length)).reshape(-1, CHANNELS)
-    return stamps_ns[closing], variances
+            results[some] = compute(chosen.reshape(-1, length)).reshape(-1, CHANNELS, *shape)
+    return stamps_ns[closing], results

@@ -276,7 +276,7 @@ def test_a_right_configuration_fits(short: tuple[Verdict, Replayed]) -> None:
     assert found.findings == [], found.judgement
     assert found.judgement.startswith("FITS")
     assert found.numbers["dvl_noise"]["shown"] == pytest.approx(0.02, rel=0.15)
-    assert [w["seconds"] for w in found.numbers["withheld"]] == [10.0, 30.0]
+    assert [w["seconds"] for w in found.numbers["withheld"]] == [10.0, 30.0, 60.0]
     assert found.numbers["position"]["depth_sigma"] > 0.0
 
 

@@ -152,21 +152,33 @@ class Scenario:
             return constant(np.repeat(self.grade, 3))
         return _in_all_channels(self.white)
 
-    def draw(self, duration: float, rate: float, rng: np.random.Generator) -> Disturbances:
+    def draw(
+        self,
+        duration: float,
+        rate: float,
+        rng: np.random.Generator,
+        vehicle: np.random.Generator | None = None,
+    ) -> Disturbances:
         """Everything else, of one mission.
 
         Args:
             duration: [s].
             rate: Of the IMU [Hz].
             rng: Each kind draws from a stream of its own.
+            vehicle: Draws what stays from one mission of a vehicle to the next, where that is
+                another's: vibration, time constants, and errors of the IMU.
         """
         sea, vibration, coloured, imperfect, dvl = rng.spawn(5)
+        coloured_rngs = coloured.spawn(2)
+        if vehicle is not None:
+            _, vibration, of_vehicle, imperfect, _ = vehicle.spawn(5)
+            coloured_rngs[1] = of_vehicle.spawn(2)[1]
         lines: tuple[Line, ...] = ()
         shaken: Vibration | None = None
         if self.vibrating:
             shaken, lines = _drawn_vibration(rate, vibration)
         return Disturbances(
-            imu=self._errors(duration, lines, coloured, imperfect),
+            imu=self._errors(duration, lines, *coloured_rngs, imperfect),
             sea=drawn_sea(sea) if self.waves else None,
             vibration=shaken,
             dvl=self._dvl_errors(duration, dvl),
@@ -183,10 +195,10 @@ class Scenario:
         self,
         duration: float,
         lines: tuple[Line, ...],
-        coloured: np.random.Generator,
+        profile_rng: np.random.Generator,
+        tau_rng: np.random.Generator,
         imperfect: np.random.Generator,
     ) -> ImuErrors:
-        profile_rng, tau_rng = coloured.spawn(2)
         flicker, counts, force, rate = np.zeros(6), np.zeros(6), np.zeros((3, 3)), np.zeros((3, 3))
         if self.imperfect:
             f_low, f_high, w_low, w_high = FLICKER

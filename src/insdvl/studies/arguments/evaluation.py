@@ -37,6 +37,7 @@ ROWS = (
     "perfect heading",
 )
 #: Rows that are not among all, and have to be asked for.
+TAUGHT = "taught"
 R_ROWS = ("R nominal", "R adaptive", "R learned", "R oracle")
 ERROR_STATES = ("invariant", "ned")
 DURATION = 330  # s
@@ -95,6 +96,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--rows",
         metavar="NAME,NAME",
         help=f"approaches to compare, separated by commas (default: all): {', '.join(ROWS)}; "
+        f"{TAUGHT}, whose vehicle learns on other missions; "
         f"and those that differ in the noise of the DVL: {', '.join(R_ROWS)}",
     )
     parser.add_argument(

@@ -7,7 +7,7 @@ from insdvl.commands import examples
 from insdvl.jobs.arguments import add_worker_options
 
 #: The names that the modules of the study define; a test holds that they are the same.
-VEHICLE = "vehicle"
+VEHICLE, WITHHELD = "vehicle", "withheld"
 PARTS = (
     "q-accuracy",
     "constant-calibrated",
@@ -23,6 +23,7 @@ PARTS = (
     "varying-gate",
     "window",
     VEHICLE,
+    WITHHELD,
 )
 
 
@@ -46,10 +47,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f"all): {', '.join(PARTS)}",
     )
     parser.add_argument(
-        "--recordings", type=Path, metavar="DIR", help=f"folder of rosbag2 recordings for {VEHICLE}"
+        "--recordings",
+        type=Path,
+        metavar="DIR",
+        help=f"folder of rosbag2 recordings for {VEHICLE} and {WITHHELD}",
     )
     parser.add_argument(
-        "--config", type=Path, metavar="FILE", help=f"YAML file of the recordings for {VEHICLE}"
+        "--config",
+        type=Path,
+        metavar="FILE",
+        help=f"YAML file of the recordings for {VEHICLE} and {WITHHELD}",
     )
     parser.add_argument(
         "--runs",

@@ -17,6 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "train --preset default --out models",
         "train --preset paper --window 100 --seed 3 --jobs 2",
         "train --preset bands --quick --out models",
+        "train --from-bags dive1 dive2 dive3 --config my.yaml --out models",
     )
     parser.add_argument(
         "--preset",
@@ -25,6 +26,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="model to train; default: trees for any scale; paper: trees as published; "
         "dnn-default, dnn: the same with a convolutional network; bands: trees on band powers, "
         "for noise that is not white",
+    )
+    parser.add_argument(
+        "--from-bags",
+        type=Path,
+        nargs="+",
+        metavar="BAG",
+        help="recordings of one vehicle, at least two: its DVL teaches which bands of the IMU's "
+        "spectrum are noise; the model is named taught, and the options above and below it, "
+        "--config and --out aside, have no effect",
+    )
+    parser.add_argument(
+        "-c",
+        "--config",
+        type=Path,
+        action="append",
+        metavar="YAML",
+        help="with --from-bags: parameter file of the nodes; may be given several times",
     )
     parser.add_argument(
         "--window",

@@ -59,6 +59,8 @@ LEARNED = {
 }
 #: The row of the model that was learned from vehicles, and its name.
 BANDS = "bands"
+#: The row whose vehicle has taught itself on other missions; not among `ROWS`, for it takes long.
+TAUGHT = "taught"
 CLOSED_FORM = "closed form"
 SINGLE_BAND = "single band"
 LEAST_BAND = "least band"

@@ -19,6 +19,7 @@ from insdvl.studies.evaluation.approaches import (
     PRESETS,
     R_SOURCES,
     ROWS,
+    TAUGHT,
     Setting,
     fingerprint,
 )
@@ -73,7 +74,7 @@ def _plan(arguments: argparse.Namespace) -> Plan:
     check_names("--preset", [arguments.preset], PRESETS)
     if arguments.error_state:
         check_names("--error-state", [arguments.error_state], ERROR_STATES)
-    every = (*ROWS, *R_SOURCES)
+    every = (*ROWS, TAUGHT, *R_SOURCES)
     check_names("--rows", rows, every)
     check_numbers(arguments)
     if not 1e-3 <= arguments.dvl_std <= 10.0:

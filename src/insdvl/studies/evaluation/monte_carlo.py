@@ -26,7 +26,7 @@ from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import SCENARIOS, ProfileFactory, segments
 from insdvl.simulation.sensors.dvl import DvlModel
 from insdvl.simulation.trajectories import AUV
-from insdvl.studies.evaluation.approaches import ORACLE, Approach, estimator
+from insdvl.studies.evaluation.approaches import ORACLE, TAUGHT, Approach, estimator
 from insdvl.studies.evaluation.metrics import (
     Track,
     attitude_error,
@@ -36,6 +36,7 @@ from insdvl.studies.evaluation.metrics import (
     rmse,
     scores,
 )
+from insdvl.studies.evaluation.taught import lessons_of, taught_model
 from insdvl.timeline.output import FoldResult
 from insdvl.timeline.recorded import fold_arrays
 from insdvl.tuner.offline import Estimator, tuned
@@ -43,6 +44,7 @@ from insdvl.tuner.offline import Estimator, tuned
 #: Splits: first keys of the random streams.
 TEST, TUNING = 2000, 2001
 _INITIAL = 2002
+_TEACHING = 2004
 
 #: Shortest and longest time between changes [s] of the profiles of the study of window and rate.
 CHANGES = MappingProxyType({"fast": (2.0, 6.0), "varying": (15.0, 45.0), "slow": (60.0, 180.0)})
@@ -110,14 +112,21 @@ def numbered(runs: int) -> dict[str, int]:
 
 def mission_of_run(study: Study, split: int, run: int) -> Mission:
     """The mission of a run, the same for all approaches."""
-    stream = np.random.SeedSequence(study.seed, spawn_key=(split, run))
-    dvl = DvlModel(
+    stream, dvl = _stream_of_run(study, split, run), _dvl_of(study)
+    return simulate(AUV, PROFILES[study.scenario], seed=stream, duration=study.duration, dvl=dvl)
+
+
+def _stream_of_run(study: Study, split: int, run: int) -> np.random.SeedSequence:
+    return np.random.SeedSequence(study.seed, spawn_key=(split, run))
+
+
+def _dvl_of(study: Study) -> DvlModel:
+    return DvlModel(
         rate=study.dvl_rate,
         noise_std=(study.dvl_std,) * 3,
         outlier_probability=study.outliers,
         outlier_size=OUTLIER,
     )
-    return simulate(AUV, PROFILES[study.scenario], seed=stream, duration=study.duration, dvl=dvl)
 
 
 def initial_of_run(mission: Mission, study: Study, split: int, run: int) -> Initial:
@@ -136,6 +145,7 @@ class Run:
     """
 
     def __init__(self, study: Study, split: int, number: int) -> None:
+        self._of = study, split, number
         self.mission = mission_of_run(study, split, number)
         truth = self.mission.truth
         self.truth = track(truth.C_n_b, truth.v_n, truth.p_o)
@@ -147,7 +157,7 @@ class Run:
         if not approach.q_source:
             return self.fold_received(approach.parameters, np.empty(0, np.int64), np.empty((0, 6)))
         if approach.q_source not in self._received:
-            self._received[approach.q_source] = self._variances(approach.q_source)
+            self._received[approach.q_source] = self._variances(approach)
         stamps_ns, variances = self._received[approach.q_source]
         return self.fold_received(
             approach.parameters,
@@ -194,9 +204,22 @@ class Run:
         samples = np.hstack([m.f_b, m.w_ib_b])
         return tuned(m.stamps_ns, samples, estimate, window, rate, round(MAX_GAP * NS), history)
 
-    def _variances(self, source: str) -> tuple[Stamps, Array]:
+    def _variances(self, approach: Approach) -> tuple[Stamps, Array]:
+        source = approach.q_source
         if source == ORACLE:
             return self.mission.process_noise()
+        if source == TAUGHT:
+            study, split, number = self._of
+            model = taught_model(
+                lessons_of(
+                    PROFILES[study.scenario],
+                    _dvl_of(study),
+                    approach.parameters,
+                    vehicle=_stream_of_run(study, split, number),
+                    seed=np.random.SeedSequence(study.seed, spawn_key=(_TEACHING, split, number)),
+                )
+            )
+            return self.learned(model.variances, model.window, model.history, RATE)
         return self.learned(*estimator(source), RATE)
 
 

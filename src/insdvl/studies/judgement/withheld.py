@@ -19,7 +19,7 @@ from insdvl.studies.judgement.innovations import mean_nis_bounds
 from insdvl.studies.replay.taken import Taken
 
 #: Lengths of the windows [s].
-WINDOWS = (10.0, 30.0)
+WINDOWS = (10.0, 30.0, 60.0)
 #: Time before the first window, and between two [s]: the filter recovers.
 RECOVERY = 20.0
 GRAVITY = 9.81  # m/s^2

@@ -23,6 +23,12 @@ _ALWAYS = (
     ("DVL rejected", "dvl_rejected", ""),
     ("process noise", "process_noise", ""),
 )
+#: Of the prediction of withheld measurements.
+_WITHHELD = (
+    ("error", "error", "m/s"),
+    ("log_likelihood", "log likelihood", ""),
+    ("covered", "inside 95 %", ""),
+)
 
 
 def table_of(document: dict[str, Any]) -> str:
@@ -80,8 +86,10 @@ def side_by_side(documents: Sequence[dict[str, Any]]) -> str:
     for text, name, unit in rows:
         lines.append(f"{_columns(text, (d[name] for d in documents))} {unit}".rstrip())
     for windows in zip(*(document["verdict"]["withheld"] for document in documents), strict=False):
-        label = f"{windows[0]['seconds']:g} s without DVL, log likelihood"
-        lines.append(_columns(label, (window["log_likelihood"] for window in windows)))
+        label = f"{windows[0]['seconds']:g} s without DVL"
+        for name, text, unit in _WITHHELD:
+            values = (window[name] for window in windows)
+            lines.append(f"{_columns(f'{label}, {text}', values)} {unit}".rstrip())
     for k, document in enumerate(documents, 1):
         lines.append(f"  {k}: {document['verdict']['judgement']}")
     return "\n".join(lines)

@@ -29,7 +29,7 @@ from insdvl.studies.evaluation.approaches import (
 from insdvl.studies.evaluation.comparison import Plan, compare
 from insdvl.studies.evaluation.options import check_names, check_numbers
 from insdvl.studies.report.plots import draw_errors_over_time
-from insdvl.studies.results import accuracy, forest, page, recordings, vehicle, window
+from insdvl.studies.results import accuracy, forest, page, recordings, vehicle, window, withheld
 from insdvl.tuner.models import load_model
 
 #: Rows of the tables that show what an error state or the gate changes.
@@ -48,8 +48,9 @@ PLANS: Mapping[str, Plan] = {
     "varying-ned": Plan("varying", Setting("calibrated", error_state="ned"), rows=_FEW),
     "varying-gate": Plan("varying", Setting("calibrated", gate=True), rows=_FEW),
 }
-ACCURACY, WINDOW, VEHICLE = "q-accuracy", "window", "vehicle"
-PARTS = (ACCURACY, *PLANS, WINDOW, VEHICLE)
+ACCURACY, WINDOW, VEHICLE, WITHHELD = "q-accuracy", "window", "vehicle", "withheld"
+PARTS = (ACCURACY, *PLANS, WINDOW, VEHICLE, WITHHELD)
+_OF_RECORDINGS = (VEHICLE, WITHHELD)
 _WINDOW_RUNS = 10
 _RECORDING_RUNS, _RECORDING_TUNING_RUNS = 10, 3  # for each recording and injection
 
@@ -85,11 +86,12 @@ def _parts(arguments: argparse.Namespace) -> list[str]:
     check_numbers(arguments)
     recorded = arguments.recordings is not None and arguments.config is not None
     if arguments.parts is None:
-        return [part for part in PARTS if part != VEHICLE or recorded]
+        return [part for part in PARTS if part not in _OF_RECORDINGS or recorded]
     asked = [] if arguments.parts == "none" else arguments.parts.split(",")
     check_names("--parts", asked, PARTS)
-    if VEHICLE in asked and not recorded:
-        raise ValueError(f"--parts {VEHICLE} needs --recordings and --config")
+    for part in _OF_RECORDINGS:
+        if part in asked and not recorded:
+            raise ValueError(f"--parts {part} needs --recordings and --config")
     return [part for part in PARTS if part in asked]
 
 
@@ -110,23 +112,26 @@ def _compute(part: str, arguments: argparse.Namespace, folder: Path, pool: Pool)
         document = compared.document
         drawn = {row: compared.series[row] for row in _DRAWN if row in compared.series}
         draw_errors_over_time(folder / f"{part}.png", part, drawn)
-    elif part == VEHICLE:
+    elif part in _OF_RECORDINGS:
         settings = recordings.Settings.load(arguments.config)
         recorded = recordings.load_all(arguments.recordings, settings)
         learned = {row: load_model(LEARNED[row]) for row in ("hcf paper", "hcf default")}
-        source = Path(vehicle.__file__)
+        source = Path((vehicle if part == VEHICLE else withheld).__file__)
         fingerprint_ = recordings.fingerprint(recorded, settings, learned)
         store = Store(work, {"seed": seed, **fingerprint_}, source)
-        document = vehicle.study_recordings(
-            recorded,
-            settings,
-            learned,
-            runs=_RECORDING_RUNS,
-            tuning_runs=_RECORDING_TUNING_RUNS,
-            seed=seed,
-            pool=pool,
-            store=store,
-        )
+        if part == WITHHELD:
+            document = withheld.study_withheld(recorded, settings, learned, pool=pool, store=store)
+        else:
+            document = vehicle.study_recordings(
+                recorded,
+                settings,
+                learned,
+                runs=_RECORDING_RUNS,
+                tuning_runs=_RECORDING_TUNING_RUNS,
+                seed=seed,
+                pool=pool,
+                store=store,
+            )
     else:
         source = Path(accuracy.__file__ if part == ACCURACY else window.__file__)
         store = Store(work, {"seed": seed, "models": models}, source)

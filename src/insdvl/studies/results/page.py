@@ -15,6 +15,7 @@ from insdvl.studies.results.accuracy import accuracy_tables
 from insdvl.studies.results.targets import Documents, row, targets_table
 from insdvl.studies.results.vehicle_tables import vehicle_tables
 from insdvl.studies.results.window import window_tables
+from insdvl.studies.results.withheld import withheld_tables
 
 _NO_WALK = "constant-paper-no-walk"
 
@@ -221,6 +222,21 @@ by differences, the closed form is not.
     )
 
 
+def _withheld(documents: Documents) -> str:
+    document = documents.get("withheld")
+    return _section(
+        "Judged without a reference",
+        """
+The recordings as they are. The DVL is withheld everywhere for 10, 30 and 60 s, and the first ping
+after each window is predicted: error, log likelihood of one ping, and share within the region of
+95 %. All rows predict the same pings. *Taught* has the weights of the bands, or the constant, that
+the DVL teaches on the other stretches of the voyage; *taught constant* always has the constant. The
+floors of the configuration hold, and in the rows *no floor* they do not.
+""",
+        [withheld_tables(document) if document else _missing("withheld")],
+    )
+
+
 #: The pages, by name.
 _PAGES: Mapping[str, Callable[[Documents], str]] = {
     "targets": _targets,
@@ -230,5 +246,6 @@ _PAGES: Mapping[str, Callable[[Documents], str]] = {
     "error-state-and-gate": _error_state_and_gate,
     "window": _window,
     "vehicle": _vehicle,
+    "withheld": _withheld,
 }
 PAGES = tuple(_PAGES)

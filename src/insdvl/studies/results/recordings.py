@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -158,7 +158,15 @@ def load_all(folder: Path, settings: Settings) -> list[Recording]:
     return recordings
 
 
-def stretches(recordings: Sequence[Recording]) -> NDArray[np.int64]:
+class Sampled(Protocol):
+    """A recording of which the samples are known."""
+
+    @property
+    def samples(self) -> Array:
+        """(N, 6) of the IMU."""
+
+
+def stretches(recordings: Sequence[Sampled]) -> NDArray[np.int64]:
     """Number of the stretch (R,) of each recording; recordings with equal samples share one."""
     seen = [{sample.tobytes() for sample in recording.samples} for recording in recordings]
     shared = [[len(a & b) > _SAME_VOYAGE * min(len(a), len(b)) for b in seen] for a in seen]

@@ -86,12 +86,17 @@ def filtered(
     """
     events = list(recording.events)
     if received is not None:
-        events += [
-            ProcessNoise(int(stamp_ns), np.diag(q[:3]), np.diag(q[3:]))
-            for stamp_ns, q in zip(*received, strict=True)
-        ]
+        events += process_noise(*received)
     frd = samples @ stream_axes(settings)
     return fold_arrays(parameters, recording.stamps_ns, frd[:, :3], frd[:, 3:], events)
+
+
+def process_noise(stamps_ns: Stamps, variances: Array) -> list[ProcessNoise]:
+    """Variances (K, 6) that apply from stamps (K,) on, as events."""
+    return [
+        ProcessNoise(int(stamp_ns), np.diag(q[:3]), np.diag(q[3:]))
+        for stamp_ns, q in zip(stamps_ns, variances, strict=True)
+    ]
 
 
 def _numbers(recording: Recording, result: FoldResult) -> Array:

@@ -11,6 +11,7 @@ from pathlib import Path
 from insdvl.jobs.options import Workers, WorkersError, workers_from
 from insdvl.jobs.pool import TaskError, open_pool
 from insdvl.jobs.store import Store
+from insdvl.studies.teaching import command as teaching
 from insdvl.studies.training import dataset
 from insdvl.tuner.models import write_model
 
@@ -59,6 +60,8 @@ def run(arguments: argparse.Namespace) -> int:
     Finished parts are kept in the output folder until both files are written, so an interrupted
     training resumes.
     """
+    if arguments.from_bags:
+        return teaching.run(arguments)
     preset, window, out = arguments.preset, arguments.window, arguments.out
     name = preset if window == dataset.WINDOW else f"{preset}-{window}"
     try:

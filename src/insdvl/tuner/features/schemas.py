@@ -18,6 +18,10 @@ from insdvl.tuner.features.band_features import (
     band_bounds,
     band_features,
 )
+from insdvl.tuner.features.band_groups import (
+    GROUP_FEATURE_NAMES,
+    group_features,
+)
 from insdvl.tuner.features.bands import HISTORY
 from insdvl.tuner.features.bands import WINDOW as BANDS_WINDOW
 from insdvl.tuner.features.closed_form import DEGREE
@@ -120,6 +124,13 @@ SCHEMAS: Mapping[str, Schema] = MappingProxyType(
         ),
         "paper": Schema(FEATURE_NAMES, _paper, relative=False, min_samples=MIN_SAMPLES),
         "scaled_window": Schema((), _scaled_window, relative=True, min_samples=DEGREE + 2),
+        "taught": Schema(
+            GROUP_FEATURE_NAMES,
+            group_features,
+            relative=True,
+            min_samples=BANDS_WINDOW,
+            history=HISTORY,
+        ),
         "window": Schema((), _window, relative=False, min_samples=1),
     }
 )

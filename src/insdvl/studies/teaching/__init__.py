@@ -1,0 +1,1 @@
+"""Weights of the bands of one vehicle: its DVL is the teacher (explanation/dvl-as-teacher.md)."""
