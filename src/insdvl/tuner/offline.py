@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from insdvl.arrays import Array, Stamps
 from insdvl.navigation.events import NS
-from insdvl.tuner.windows import CHANNELS, period
+from insdvl.tuner.own import HISTORY, WINDOW, OwnEstimator
+from insdvl.tuner.windows import CHANNELS, period, rate_of
 
 Indices = NDArray[np.intp]
 
@@ -93,4 +94,21 @@ def tuned(
             some = of_length[first : first + _AT_ONCE]
             chosen = np.ascontiguousarray(windows[closing[some] - (length - 1)])
             variances[some] = estimate(chosen.reshape(-1, length)).reshape(-1, CHANNELS)
+    return stamps_ns[closing], variances
+
+
+def tuned_by_own(
+    stamps_ns: Stamps, samples: Array, own: OwnEstimator, rate: float, max_gap_ns: int
+) -> tuple[Stamps, Array]:
+    """The same with an estimator of your own; see `tuned`.
+
+    Raises:
+        EstimatorError: The estimator failed.
+    """
+    closing, filled = closing_samples(stamps_ns, WINDOW, rate, max_gap_ns)
+    variances = np.empty((closing.size, CHANNELS))
+    for row, last, count in zip(variances, closing, np.minimum(filled, HISTORY), strict=True):
+        first = last - count + 1
+        of_imu = rate_of(int(stamps_ns[first]), int(stamps_ns[last]), int(count))
+        row[:] = own(samples[first : last + 1], of_imu)
     return stamps_ns[closing], variances

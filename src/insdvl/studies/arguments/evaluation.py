@@ -103,6 +103,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="also evaluate your own model (card next to the file)",
     )
     parser.add_argument(
+        "--estimator",
+        metavar="PACKAGE.MODULE:FUNCTION",
+        help="also evaluate your own estimator, see docs/how-to/estimator.md",
+    )
+    parser.add_argument(
         "--runs", type=int, default=100, metavar="N", help="number of paired runs (default: 100)"
     )
     parser.add_argument(

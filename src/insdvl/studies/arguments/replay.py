@@ -47,6 +47,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="also replay with this file after the others, or with this value, and show the "
         "numbers side by side; once for each further configuration",
     )
+    parser.add_argument(
+        "--estimator",
+        metavar="PACKAGE.MODULE:FUNCTION",
+        help="take Q from your own estimator, see docs/how-to/estimator.md",
+    )
     for name, what in (("from", "begin"), ("to", "end")):
         parser.add_argument(
             f"--{name}",

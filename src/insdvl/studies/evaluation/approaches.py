@@ -22,6 +22,7 @@ from insdvl.tuner.features.bands import NEAR
 from insdvl.tuner.features.closed_form import degree_5
 from insdvl.tuner.models import Model, ModelError, load_model
 from insdvl.tuner.offline import Estimator
+from insdvl.tuner.own import OwnEstimator
 
 #: Parameters of the filter by preset: `calibrated` is this project's filter; `paper` is the
 #: published one, which uses variances as densities and bias walks of density 0.001;
@@ -111,6 +112,8 @@ FLOORS = (ZERO_VELOCITY, PERFECT_HEADING)
 
 #: Prefix of the row of a model that does not ship; the path of the model follows.
 OWN_MODEL = "model "
+#: Prefix of the row of an estimator of your own; its name follows.
+OWN_ESTIMATOR = "estimator "
 
 #: Samples in the window of the closed forms.
 WINDOW = 200
@@ -302,10 +305,24 @@ def unavailable(rows: Sequence[str]) -> dict[str, str]:
 
 
 def fingerprint(rows: Sequence[str]) -> dict[str, str]:
-    """SHA-256 of the model of each row that has one."""
+    """SHA-256 of the model, or of the file of the estimator, of each row that has one."""
     missing = unavailable(rows)
     models = {row: model(row) for row in rows if row not in missing}
-    return {row: found.card["sha256"] for row, found in models.items() if found is not None}
+    found = {row: one.card["sha256"] for row, one in models.items() if one is not None}
+    own = {row: own_estimator(row) for row in rows}
+    return found | {row: one.fingerprint for row, one in own.items() if one is not None}
+
+
+@cache
+def own_estimator(row: str) -> OwnEstimator | None:
+    """The estimator of your own of a row, tried once; None where the row has none.
+
+    Raises:
+        EstimatorError: It cannot be used.
+    """
+    if not row.startswith(OWN_ESTIMATOR):
+        return None
+    return OwnEstimator(row.removeprefix(OWN_ESTIMATOR))
 
 
 def estimator(row: str) -> tuple[Estimator, int, int]:
