@@ -106,13 +106,15 @@ class Model:
         """Variance per sample of the noise in each window.
 
         Args:
-            windows: (M, N) of window to history samples, one channel each, in its unit.
+            windows: (M, N) of window to history samples, one channel each, in its unit; for the
+                schema `bands` each six rows are the channels of an IMU.
 
         Returns:
             (M,), in the square of that unit.
 
         Raises:
-            ValueError: A window has another length, or is not finite or too large.
+            ValueError: A window has another length, or is not finite or too large; or channels
+                are missing.
         """
         if windows.ndim != 2 or not self.window <= windows.shape[1] <= self.history:
             lengths = f"{self.window}"

@@ -32,7 +32,7 @@ def recording(kind: str) -> np.ndarray:
 
 @pytest.mark.parametrize("kind", ["regular", "jitter", "gaps", "slow"])
 @pytest.mark.parametrize("rate", [1.0, 0.3, 7.0])
-@pytest.mark.parametrize("name", ["default"])
+@pytest.mark.parametrize("name", ["default", "bands"])
 def test_equals_the_tuner_to_the_bit(kind, rate, name):
     stamps = recording(kind)
     samples = 9.8 + 0.1 * np.random.default_rng(6).standard_normal((stamps.size, 6))
