@@ -4,9 +4,10 @@
     make bench ARGS="--save benchmarks/speed.json"   # the ratios become the baseline
     make bench-check                        # fails where a ratio is 20 % worse than the baseline
 
-All figures are CPU time of this process: medians over repeats, and half the spread of their middle
-half. Absolute figures mean little on a shared machine; ratios of one run do. The yardstick is
-yardstick/filter.c, which is first held against the filter to 1e-12.
+All figures are CPU time of this process: the least of a few repeats in each of ten rounds, of these
+the median, and half the spread of their middle half. Absolute figures mean little on a shared
+machine; ratios within a round do. The yardstick is yardstick/filter.c, which is first held against
+the filter to 1e-12.
 """
 
 import argparse
@@ -46,6 +47,7 @@ RATE = 100  # Hz
 EVERY = 25  # of so many samples one whole state is kept, as insdvl evaluate does
 SIGMA = 0.02  # of the DVL, m/s
 EQUAL = 1e-12  # relative difference up to which the C is the filter's work
+ROUNDS = 10
 PEERS = ("plain numpy", "filterpy", "python-ins")
 WORSE = 1.2  # bench-check fails beyond it
 SETTINGS = {
@@ -56,33 +58,49 @@ SETTINGS = {
 
 
 @dataclass(frozen=True)
-class Row:
-    """One figure.
+class Timed:
+    """What is timed.
 
     Attributes:
-        name: What is timed.
+        name: Of the row.
         per: What the time is of.
-        microseconds: Median.
-        spread: Half the distance between the quartiles, relative to the median.
+        call: Does a thing `count` times.
+        count: How many.
+        repeats: Of the call in a round.
     """
 
     name: str
     per: str
-    microseconds: float
-    spread: float
+    call: Callable[[], object]
+    count: int
+    repeats: int
 
 
-def timed(name: str, per: str, call: Callable[[], object], count: int, repeats: int) -> Row:
-    """The CPU time of a call that does a thing `count` times."""
-    call()
-    times = []
-    gc.collect()
-    for _ in range(repeats):
-        start = time.process_time()
-        call()
-        times.append(time.process_time() - start)
-    low, median, high = np.percentile(times, [25.0, 50.0, 75.0])
-    return Row(name, per, float(median) / count * 1e6, float((high - low) / 2.0 / median))
+def measured(timed: list[Timed]) -> dict[str, Array]:
+    """The least CPU time [us] of each thing in each of `ROUNDS` rounds, by name.
+
+    All are timed in every round, one behind the other: what else the computer does changes within
+    seconds, and a ratio within a round knows nothing of it.
+    """
+    for one in timed:
+        one.call()
+    times = {one.name: np.empty(ROUNDS) for one in timed}
+    for k in range(ROUNDS):
+        for one in timed:
+            gc.collect()
+            best = np.inf
+            for _ in range(one.repeats):
+                start = time.process_time()
+                one.call()
+                best = min(best, time.process_time() - start)
+            times[one.name][k] = best / one.count * 1e6
+    return times
+
+
+def median_and_spread(values: Array) -> tuple[float, float]:
+    """Median, and half the distance between the quartiles relative to it."""
+    low, median, high = np.percentile(values, [25.0, 50.0, 75.0]).tolist()
+    return median, (high - low) / 2.0 / median
 
 
 class Subject:
@@ -190,7 +208,7 @@ def disagreement(c: Compiled) -> float:
     return worst
 
 
-def of_the_filter(subject: Subject) -> list[Row]:
+def of_the_filter(subject: Subject) -> list[Timed]:
     """What our own filter costs."""
     m, n = subject.mission, len(subject.mission.stamps_ns)
     filter_, states = subject.filter, subject.states
@@ -238,24 +256,24 @@ def of_the_filter(subject: Subject) -> list[Row]:
 
     fold = partial(fold_arrays, subject.parameters, *subject.imu, subject.events, EVERY)
     return [
-        timed("predict kernel", "sample", predict, RATE - 2, 200),
-        timed("fold of a mission", "sample", fold, n, 12),
-        timed("one event at a time", "sample", partial(add, 1000), 1000, 10),
-        timed("DVL update, one call", "update", partial(update, 100), 100, 30),
-        timed("re-fold of 1 s with its DVL", "second", refold, 1, 60),
+        Timed("predict kernel", "sample", predict, RATE - 2, 20),
+        Timed("fold of a mission", "sample", fold, n, 3),
+        Timed("one event at a time", "sample", partial(add, 1000), 1000, 2),
+        Timed("DVL update, one call", "update", partial(update, 100), 100, 5),
+        Timed("re-fold of 1 s with its DVL", "second", refold, 1, 10),
     ]
 
 
-def of_c(yardstick: Yardstick) -> list[Row]:
+def of_c(yardstick: Yardstick) -> list[Timed]:
     """What the C costs."""
     fly, update = yardstick.fly(RATE - 1, 100 * RATE), yardstick.updates(51 * RATE - 1, 10_000)
     return [
-        timed("C", "sample", fly, 100 * RATE, 40),
-        timed("C, DVL update", "update", update, 10_000, 30),
+        Timed("C", "sample", fly, 100 * RATE, 5),
+        Timed("C, DVL update", "update", update, 10_000, 3),
     ]
 
 
-def of_peers(subject: Subject) -> tuple[list[Row], list[str]]:
+def of_peers(subject: Subject) -> tuple[list[Timed], list[str]]:
     """What other filters cost, and which are left out."""
     m, rows, left_out = subject.mission, [], []
     c, count = subject.filter.constants[0], 300
@@ -275,7 +293,7 @@ def of_peers(subject: Subject) -> tuple[list[Row], list[str]]:
             for k in range(count):
                 step(s, m.f_b[RATE + k], m.w_ib_b[RATE + k], 1.0 / RATE)
 
-        rows.append(timed(name, "sample", fly, count, 8))
+        rows.append(Timed(name, "sample", fly, count, 2))
     short = simulate(
         trajectory_named("auv"),
         SCENARIOS["constant-tableI"],
@@ -286,20 +304,19 @@ def of_peers(subject: Subject) -> tuple[list[Row], list[str]]:
     )
     samples = len(short.stamps_ns)
     call = peers.of_python_ins(short)
-    rows.append(timed("python-ins, covariance at 10 Hz", "sample", call, samples, 3))
+    rows.append(Timed("python-ins, covariance at 10 Hz", "sample", call, samples, 1))
     return rows, left_out
 
 
-def ratios(rows: list[Row]) -> dict[str, float]:
-    """Of each figure to that of C, or to our fold where it is a peer's or there is no C."""
-    times = {row.name: row.microseconds for row in rows}
+def ratios(timed: list[Timed], times: dict[str, Array]) -> dict[str, Array]:
+    """Of each figure, in each round, to that of C; of a peer's to our prediction's."""
     found = {}
-    for row in rows:
-        if row.name.startswith(PEERS):
-            found[f"{row.name} / predict kernel"] = row.microseconds / times["predict kernel"]
-        elif "C" in times and not row.name.startswith("C"):
-            yardstick = "C, DVL update" if row.per == "update" else "C"
-            found[f"{row.name} / {yardstick}"] = row.microseconds / times[yardstick]
+    for one in timed:
+        if one.name.startswith(PEERS):
+            found[f"{one.name} / predict kernel"] = times[one.name] / times["predict kernel"]
+        elif "C" in times and not one.name.startswith("C"):
+            yardstick = "C, DVL update" if one.per == "update" else "C"
+            found[f"{one.name} / {yardstick}"] = times[one.name] / times[yardstick]
     return found
 
 
@@ -325,7 +342,7 @@ def main() -> int:
     parser.add_argument("--save", type=Path, metavar="FILE", help="write the ratios as a baseline")
     parser.add_argument("--check", type=Path, metavar="FILE", help="compare with a baseline")
     arguments = parser.parse_args()
-    rows: list[Row] = []
+    timed: list[Timed] = []
     with tempfile.TemporaryDirectory() as folder:
         c = compiled(Path(folder))
         error = 0.0 if isinstance(c, str) else disagreement(c)
@@ -341,24 +358,32 @@ def main() -> int:
             return 0
         subject = Subject({})
         if isinstance(c, Compiled):
-            rows += of_c(Yardstick(c, subject))
-        rows += of_the_filter(subject)
+            timed += of_c(Yardstick(c, subject))
+        timed += of_the_filter(subject)
         others, left_out = of_peers(subject)
-        rows += others
+        timed += others
     notes += left_out
-    found = ratios(rows)
+    times = measured(timed)
+    of_rounds = ratios(timed, times)
+    found = {name: median_and_spread(values)[0] for name, values in of_rounds.items()}
     per_sample = subject.states.itemsize / EVERY + TRACK.itemsize + 6
     print(f"{'':36}{'us':>10}{'spread':>9}   per")
-    for row in rows:
-        print(f"{row.name:36}{row.microseconds:10.3f}{row.spread:8.1%}    {row.per}")
+    rows = []
+    for one in timed:
+        microseconds, spread = median_and_spread(times[one.name])
+        rows.append(
+            {"name": one.name, "per": one.per, "microseconds": microseconds, "spread": spread}
+        )
+        print(f"{one.name:36}{microseconds:10.3f}{spread:8.1%}    {one.per}")
     print()
-    for name, ratio in found.items():
-        print(f"{name:60}{ratio:10.1f}")
+    for name, values in of_rounds.items():
+        ratio, spread = median_and_spread(values)
+        print(f"{name:60}{ratio:10.1f}{spread:8.1%}")
     print(f"\nmemory kept per sample: {per_sample:.0f} bytes")
     print("\n".join(notes))
     if arguments.json:
         document = {
-            "rows": [vars(row) for row in rows],
+            "rows": rows,
             "ratios": found,
             "bytes_per_sample": per_sample,
             "notes": notes,

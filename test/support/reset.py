@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from support.steps import step_by_step
 
 from insdvl.navigation import kalman
 from insdvl.navigation.error_state import ATTITUDE, VELOCITY
@@ -23,14 +24,16 @@ def reset_jacobian(dx: np.ndarray, *, invariant: bool) -> np.ndarray:
 
 def apply_it_after_every_update(monkeypatch: pytest.MonkeyPatch) -> None:
     """From here on every filter of this test applies the reset Jacobian."""
-    correct = kalman._correct
+    correct = kalman.correct_linearly
 
-    def with_reset(state, constants, H, K, R, innovation, *product):  # type: ignore[no-untyped-def]
-        correct(state, constants, H, K, R, innovation, *product)
+    def with_reset(state, constants, H, K, R, innovation, workspace):  # type: ignore[no-untyped-def]
+        correct(state, constants, H, K, R, innovation, workspace)
         n = len(K)
         G = reset_jacobian(K @ innovation, invariant=bool(constants[0]["invariant"]))
         P = state[0]["nav"]["P"]
         P[:n, :n] = G @ P[:n, :n] @ G.T
 
-    monkeypatch.setattr(kalman, "_correct", with_reset)
-    monkeypatch.setattr(kalman, "_PRODUCT", np.inf)  # every update is the linear one
+    step_by_step(monkeypatch)
+    monkeypatch.setattr(kalman, "correct_linearly", with_reset)
+    # Every update is the linear one.
+    monkeypatch.setattr(kalman, "correct_body_velocity", with_reset)

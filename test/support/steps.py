@@ -10,6 +10,12 @@ from insdvl.navigation import kalman
 from insdvl.navigation.coordinates import turns_position
 from insdvl.navigation.error_state import ATTITUDE, POSITION
 from insdvl.navigation.geometry.earth import displacements
+from insdvl.navigation.measurements.dvl import DvlModel
+
+
+def step_by_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From now on an ordinary DVL measurement is used as all others, without its own kernel."""
+    monkeypatch.setattr(DvlModel, "take_in", lambda *arguments: None)
 
 
 def watch_steps(monkeypatch: pytest.MonkeyPatch, *, invariant: bool = True) -> list[Array]:
@@ -19,6 +25,7 @@ def watch_steps(monkeypatch: pytest.MonkeyPatch, *, invariant: bool = True) -> l
     J K S K^T J^T with J = [.., -[x x] (attitude), .., I (position)]. An axis that the measurement
     does not move at all has 0.
     """
+    step_by_step(monkeypatch)
     correct, ratios = kalman.correct, []
 
     def watched(state: Any, constants: Any, prior: Any, *rest: Any, **named: Any) -> Any:

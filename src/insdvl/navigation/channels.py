@@ -4,11 +4,12 @@ The filter goes on with what it has, and its covariance knows what may have gone
 are derived in docs/explanation/filter.md.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from insdvl.arrays import Array, Stamps
+from insdvl.arrays import Array, Records, Stamps
 from insdvl.kernels import kernel
 from insdvl.navigation.geometry.rotation import rotate_back
 from insdvl.navigation.prediction import strapdown
@@ -343,6 +344,21 @@ def any_unseen(unseen_ns: Stamps) -> bool:
     for i in range(6):
         count += unseen_ns[i] != NEVER
     return count > 0
+
+
+@kernel
+def turn_noise(state: Records, constants: Records, share: Array, covariance: Array) -> bool:
+    """Covariance (3, 3) of a rate whose variance is ``share`` (3,) times that of one sample.
+
+    Returns:
+        Whether a channel of the IMU is in doubt.
+    """
+    s, c = state[0], constants[0]
+    for i in range(3):
+        for j in range(3):
+            of_sample = s.noise.Q_w[i, j] * (c.density * c.rate)
+            covariance[i, j] = of_sample * math.sqrt(share[i] * share[j])
+    return any_unseen(s.channels.unseen_ns)
 
 
 def in_doubt(s: State) -> bool:

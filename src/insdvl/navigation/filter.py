@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from insdvl.arrays import Array, Records, Stamps
-from insdvl.kernels import kernel
 from insdvl.navigation import algebra, channels, coordinates, error_state, kalman, map_to_odom
 from insdvl.navigation.error_state import ATTITUDE, HORIZONTAL_POSITION
 from insdvl.navigation.events import (
@@ -36,7 +35,7 @@ from insdvl.navigation.prediction import predict
 from insdvl.navigation.prediction.kept import Kept
 from insdvl.navigation.process_noise import shown, source_of
 from insdvl.navigation.start import wrong_heading, zero_velocity
-from insdvl.navigation.start.initial_state import Start, locate, sample_variance_w
+from insdvl.navigation.start.initial_state import Start, locate
 from insdvl.navigation.state import (
     CORE,
     NEVER,
@@ -54,21 +53,6 @@ LAYOUT = layout(
 )
 _NO_SAMPLES = np.empty((0, 6))
 _HEADING = ATTITUDE.stop - 1
-
-
-@kernel
-def _turn_noise(state: Records, constants: Records, share: Array, covariance: Array) -> bool:
-    """Covariance (3, 3) of a rate whose variance is ``share`` (3,) times that of one sample.
-
-    Returns:
-        Whether a channel of the IMU is in doubt.
-    """
-    s, c = state[0], constants[0]
-    for i in range(3):
-        for j in range(3):
-            of_sample = s.noise.Q_w[i, j] * (c.density * c.rate)
-            covariance[i, j] = of_sample * math.sqrt(share[i] * share[j])
-    return channels.any_unseen(s.channels.unseen_ns)
 
 
 class Filter:
@@ -252,10 +236,6 @@ class Filter:
         """Time before a measurement that its turn rate is taken from; 0 takes one sample."""
         return self.models[event.name].turn_window_ns
 
-    def sample_variance(self, state: Records) -> Array:
-        """Variance (3,) of one sample of the angular rate [(rad/s)^2], base_link axes."""
-        return sample_variance_w(state[0], self.vehicle).diagonal().copy()
-
     def hear_orientation(self, state: Records, event: Orientation) -> None:
         """An IMU tells its attitude, which only a filter that has not started needs."""
         if not state[0]["nav"]["initialised"]:
@@ -285,9 +265,15 @@ class Filter:
         memory, stamp_ns = state["gate"][event.name][0], event.stamp_ns
         if stamp_ns - int(memory["judged_ns"]) < model.interval_ns:
             return None
-        reason = claims.refusal(memory, model, event)
-        turn, linearised, at_rest = self._turn(state, w_ib_b, share), None, False
-        if not s["nav"]["initialised"]:
+        reason, initialised = claims.refusal(memory, model, event), s["nav"]["initialised"]
+        shares = np.empty(3)
+        shares[:] = share
+        if initialised and not reason and self._is_alone(s):
+            taken = gate.take_in(state, event, w_ib_b, shares)
+            if taken is not None:
+                return UpdateReport(event.name, *taken, True, "")
+        turn, linearised, at_rest = self._turn(state, w_ib_b, shares), None, False
+        if not initialised:
             if not reason and (velocity := model.velocity(event, turn)) is not None:
                 self.start.hear_velocity(s, stamp_ns, *velocity)
             if not reason and (attitude := model.attitude(event)) is not None:
@@ -362,11 +348,14 @@ class Filter:
             S = np.where(np.diag(~now.measured), np.inf, S)
         return UpdateReport(event.name, now.innovation, S, now.nis, accepted, reason)
 
-    def _turn(self, state: Records, w_ib_b: Array, share: Array | float) -> Turn:
+    def _is_alone(self, s: State) -> bool:
+        """Whether nothing but the state and its gate takes part in an update."""
+        return not (self._noises or self.process_noise.adapts or s["start"]["heading_watched"])
+
+    def _turn(self, state: Records, w_ib_b: Array, share: Array) -> Turn:
         """The turn rate at a measurement, and what is not known of it."""
-        covariance, shares = np.empty((3, 3)), np.empty(3)
-        shares[:] = share
-        if _turn_noise(state, self.constants, shares, covariance):
+        covariance = np.empty((3, 3))
+        if channels.turn_noise(state, self.constants, share, covariance):
             w_ib_b, unseen = channels.seen_rate(state[0], self.constants[0], w_ib_b)
             covariance = covariance + unseen
         return Turn(w_ib_b, covariance)

@@ -17,7 +17,7 @@ from insdvl.kernels import kernel
 from insdvl.navigation import coordinates
 from insdvl.navigation.algebra import gain, is_measured, joseph, remainder, rows_of, tells
 from insdvl.navigation.error_state import ATTITUDE, POSITION, VELOCITY
-from insdvl.navigation.geometry.rotation import exponential, rotate
+from insdvl.navigation.geometry.rotation import copy_matrix, exponential, rotate
 from insdvl.navigation.measurements.base import Linearised
 
 #: An update is iterated where h bends by the mean sigma of R, and by a part from half of it on.
@@ -92,7 +92,7 @@ def _correct(
 ) -> None:
     """Joseph form, then the injection of K nu.
 
-    With ``product`` the velocity error of P, H and K is dv' of `_correct_body_velocity`, and
+    With ``product`` the velocity error of P, H and K is dv' of `correct_body_velocity`, and
     ``mean`` that of t x dv.
     """
     n, m = K.shape
@@ -112,6 +112,20 @@ def _correct(
         rotate(dx[_V : _V + 3], turn, dv)
         coordinates.turn_block(P, _V, turn, n)
     _inject(state, constants, dx)
+
+
+@kernel
+def correct_linearly(
+    state: Records,
+    constants: Records,
+    H: Array,
+    K: Array,
+    R: Array,
+    innovation: Array,
+    workspace: Records,
+) -> None:
+    """Joseph form, then the injection of K nu; arguments as of `correct_body_velocity`."""
+    _correct(state, constants, H, K, R, innovation, np.zeros(3), False, workspace)
 
 
 @dataclass(frozen=True)
@@ -171,9 +185,8 @@ class _Iteration:
         R, P_0 = now.R, self._before["nav"]["P"][0]
         self.go_back()
         dx = now.K @ now.innovation
-        linear = np.zeros(3), False
         of_now = now.H, now.K, R, now.innovation
-        _correct(state, self._constants, *of_now, *linear, self._workspace)
+        correct_linearly(state, self._constants, *of_now, self._workspace)
         again, T = self._relinearise(), coordinates.remaining(dx)
         bend = again.z_minus_h - (now.innovation - now.H @ dx)
         H = again.H @ T
@@ -235,32 +248,52 @@ def _product_counts(
     return of_product > least * of_noise
 
 
-def _correct_body_velocity(
+@kernel
+def correct_body_velocity(
     state: Records,
     constants: Records,
-    prior: Innovated,
-    relinearise: Callable[[], Linearised],
+    H: Array,
+    K: Array,
+    R: Array,
+    innovation: Array,
     workspace: Records,
-) -> tuple[Array, Array]:
+) -> None:
     """Correct with a measurement of the body velocity, see `correct`.
 
     With dv = R_t dv' the measurement tells dv' whatever tilt and heading are, and
     dv' = dv - t x dv to second order: its covariance is that of dv and of the product.
+
+    Args:
+        state: (1,) record.
+        constants: (1,) of the filter.
+        H: (m, n) Jacobian at the prediction.
+        K: (n, m) gain there; becomes that of the correction.
+        R: (m, m) covariance of the measurement noise.
+        innovation: (m,) of the measurement.
+        workspace: (1,) of the filter.
     """
-    H, R = prior.H, prior.R
-    mean, covariance = np.empty(3), np.empty((3, 3))
-    K, innovation, product = prior.K, prior.innovation, False
+    m, P = len(innovation), state[0].nav.P
+    mean, covariance, before = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
+    nu, product = innovation.copy(), False
     if _product_counts(state, H, R, _PRODUCT, mean, covariance):
-        H_v, P = H[:, VELOCITY], state["nav"]["P"][0]
-        before = P[VELOCITY, VELOCITY].copy()
-        P[VELOCITY, VELOCITY] += covariance
-        now = innovate(P, innovation + H_v @ mean, H, R)
-        if np.isfinite(now.nis):
-            K, innovation, product = now.K, now.innovation, True
+        for i in range(3):
+            for j in range(3):
+                before[i, j] = P[_V + i, _V + j]
+                P[_V + i, _V + j] += covariance[i, j]
+        for a in range(m):
+            for i in range(3):
+                nu[a] += H[a, _V + i] * mean[i]
+        gained = np.empty_like(K)
+        product = np.isfinite(gain(P, H, R, nu, np.empty((m, m)), gained))
+        if product:
+            copy_matrix(K, gained)
         else:
-            P[VELOCITY, VELOCITY] = before
-    _correct(state, constants, H, K, R, innovation, mean, product, workspace)
-    return K, relinearise().z_minus_h
+            for a in range(m):
+                nu[a] = innovation[a]
+            for i in range(3):
+                for j in range(3):
+                    P[_V + i, _V + j] = before[i, j]
+    _correct(state, constants, H, K, R, nu, mean, product, workspace)
 
 
 def correct(
@@ -298,12 +331,13 @@ def correct(
         The gain (n, m) at the prediction, and the innovation (m,) that is left.
     """
     if not iterate:
-        linear = np.zeros(3), False
         of_prior = prior.H, prior.K, prior.R, prior.innovation
-        _correct(state, constants, *of_prior, *linear, workspace)
+        correct_linearly(state, constants, *of_prior, workspace)
         return prior.K, relinearise().z_minus_h
     if not tells(prior.H, POSITION.start, POSITION.stop):
-        return _correct_body_velocity(state, constants, prior, relinearise, workspace)
+        K = prior.K.copy()
+        correct_body_velocity(state, constants, prior.H, K, prior.R, prior.innovation, workspace)
+        return K, relinearise().z_minus_h
     n = len(prior.K)
     iteration = _Iteration(state, constants, prior, relinearise, workspace)
     first = best = iteration.step()

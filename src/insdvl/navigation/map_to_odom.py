@@ -91,7 +91,7 @@ def moved(state: Records, vehicle: Vehicle, was: Before) -> None:
         was: The estimate before it.
     """
     if was.seen is None:
-        _move_odom(state, was.C_n_b, was.llh)
+        move_odom(state, was.C_n_b, was.llh)
         return
     s = state[0]
     nav, o, seen, yaw = s["nav"], s["odom"], was.seen, float(s["odom"]["yaw"])
@@ -130,7 +130,7 @@ def yaw_between(C_before: Array, C_after: Array) -> float:
 
 
 @kernel
-def _move_odom(state: Records, C_before: Array, llh_before: Array) -> None:
+def move_odom(state: Records, C_before: Array, llh_before: Array) -> None:
     """Odom has moved with the estimate by an update."""
     s, step = state[0], np.empty(3)
     o = s.odom

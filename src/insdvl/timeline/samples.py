@@ -85,18 +85,20 @@ def rate_at(
 @kernel
 def _believed_rate_at(
     state: Records,
+    constants: Records,
     stamps_ns: Stamps,
     w_ib_b: Array,
     verdicts: NDArray[np.int8],
     k: int,
     at_ns: int,
     window_ns: int,
-    variance: Array,
     rate: Array,
     share: Array,
 ) -> None:
     """`rate_at` of the samples that are believed; the state (1,) has the verdicts on sample k."""
-    first = k
+    first, variance, c = k, np.empty(3), constants[0]
+    for i in range(3):
+        variance[i] = state[0].noise.Q_w[i, i] * (c.density * c.rate)
     while first > 0 and stamps_ns[first] > at_ns - window_ns:
         first -= 1
     seen = np.empty(k + 1 - first, np.bool_)
@@ -175,20 +177,20 @@ class Samples:
         return int(self.stamps_ns[: self.count].searchsorted(stamp_ns))
 
     def turn_rate(
-        self, state: Records, k: int, at_ns: int, window_ns: int, variance: Array
+        self, state: Records, constants: Records, k: int, at_ns: int, window_ns: int
     ) -> tuple[Array, Array]:
         """Angular rate (3,) at a stamp, base_link axes, and share (3,) of its error, see `rate_at`.
 
         Args:
             state: (1,) record at the stamp.
+            constants: (1,) record of the filter.
             k: Index of the sample whose interval holds the stamp.
             at_ns: The stamp.
             window_ns: Length of the window that ends there.
-            variance: (3,) of one sample [(rad/s)^2].
         """
         rate, share = np.empty(3), np.empty(3)
         samples = self.stamps_ns, self.w_ib_b, self.kept.verdicts
-        _believed_rate_at(state, *samples, k, at_ns, window_ns, variance, rate, share)
+        _believed_rate_at(state, constants, *samples, k, at_ns, window_ns, rate, share)
         return rate, share
 
     def outdate(self, k: int) -> None:

@@ -122,10 +122,10 @@ class Steps:
             self._apply_measurement(state, event, e, k)
 
     def _apply_measurement(self, state: Records, event: Measurement, e: int, k: int) -> None:
-        entry, samples = self._entries.ordered[e], self._samples
-        at, turn_ns = (state, k, event.stamp_ns), self._filter.turn_window_ns(event)
-        turn = samples.turn_rate(*at, turn_ns, self._filter.sample_variance(state))
-        before = partial(samples.window, *at, self._rest_ns)
+        entry, samples, stamp_ns = self._entries.ordered[e], self._samples, event.stamp_ns
+        turn_ns, constants = self._filter.turn_window_ns(event), self._filter.constants
+        turn = samples.turn_rate(state, constants, k, stamp_ns, turn_ns)
+        before = partial(samples.window, state, k, stamp_ns, self._rest_ns)
         entry.report = self._filter.update(state, event, *turn, before)
 
     def _apply_initial(self, state: Records, event: Initial, e: int, k: int) -> None:

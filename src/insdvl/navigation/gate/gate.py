@@ -21,7 +21,7 @@ from insdvl.arrays import Array, Records
 from insdvl.navigation import kalman
 from insdvl.navigation.channels import in_doubt
 from insdvl.navigation.error_state import VELOCITY
-from insdvl.navigation.events import NS
+from insdvl.navigation.events import NS, Measurement
 from insdvl.navigation.gate import imu_step, ordinary
 from insdvl.navigation.gate.chi_square import exceeded
 from insdvl.navigation.gate.ordinary import LEAST_PATIENCE_NS, RETURNS
@@ -70,6 +70,13 @@ class Gate:
 
     def _memory(self, s: State) -> State:
         return s["gate"][self._name]
+
+    def take_in(
+        self, state: Records, event: Measurement, w_ib_b: Array, share: Array
+    ) -> tuple[Array, Array, float] | None:
+        """Judge and use an ordinary measurement at once, see `SensorModel.take_in`."""
+        memory, limits = state["gate"][self._name], self._limits
+        return self._model.take_in(state, memory, event, w_ib_b, share, limits, self._patience_ns)
 
     def meet(self, state: Records, stamp_ns: int, linearised: Linearised) -> tuple[Innovated, bool]:
         """Compare a measurement with its prediction, and use it if nothing speaks against it.

@@ -203,6 +203,33 @@ class SensorModel(ABC, Generic[_Event]):
             turn: The turn rate there.
         """
 
+    def take_in(
+        self,
+        state: Records,
+        memory: Records,
+        event: _Event,
+        w_ib_b: Array,
+        share: Array,
+        limits: Array,
+        patience_ns: int,
+    ) -> tuple[Array, Array, float] | None:
+        """Judge and use an ordinary measurement at once; for a sensor that has a kernel for it.
+
+        Args:
+            state: (1,) record, initialised, at the stamp.
+            memory: (1,) of the gate, a part of it.
+            event: The measurement.
+            w_ib_b: (3,) angular rate at the stamp [rad/s], base_link axes.
+            share: (3,) its variance, in units of that of one sample.
+            limits: (m + 1,) of the NIS, by the number of rows that were measured.
+            patience_ns: Most trust that the filter gains.
+
+        Returns:
+            Innovation (m,), its covariance (m, m) and NIS; None where the measurement is not
+            ordinary, and the state is as it was.
+        """
+        return None
+
     def in_stream(self, innovation: Array, S: Array) -> tuple[Array, Array]:
         """An innovation (m,) and its covariance (m, m) in the axes of the stream."""
         return innovation, S

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import hypot, pi
+from math import hypot, isnan, pi
 from typing import ClassVar
 
 import numpy as np
@@ -30,6 +30,7 @@ from insdvl.navigation.measurements.base import (
     Vehicle,
 )
 from insdvl.navigation.measurements.dvl_jacobian import ABSENT, linearise
+from insdvl.navigation.measurements.dvl_ordinary import take_in
 from insdvl.navigation.start.automatic import UNKNOWN_SPEED
 from insdvl.navigation.state import State
 from insdvl.parameters.declaration import lever_arm, parameter, time_offset
@@ -312,6 +313,27 @@ class DvlModel(SensorModel[Dvl]):
         if not all(event.measured):
             _leave_out(~np.array(event.measured), state[0]["nav"]["P"], z_minus_h, H, R)
         return Linearised(z_minus_h, H, R)
+
+    def take_in(
+        self,
+        state: Records,
+        memory: Records,
+        event: Dvl,
+        w_ib_b: Array,
+        share: Array,
+        limits: Array,
+        patience_ns: int,
+    ) -> tuple[Array, Array, float] | None:
+        """In one kernel, where all components were measured."""
+        if not all(event.measured):
+            return None
+        vehicle, innovation, S = self._vehicle, np.empty(3), np.empty((3, 3))
+        nis = take_in(
+            *(state, memory, vehicle.workspace, vehicle.constants),
+            *(self._C_d_b, self._l_b, self._error_at, self._mount_at, self.noise(event)),
+            *(event.v_d, w_ib_b, share, limits, event.stamp_ns, patience_ns, innovation, S),
+        )
+        return None if isnan(nis) else (innovation, S, nis)
 
     def in_stream(self, innovation: Array, S: Array) -> tuple[Array, Array]:
         """Velocities, in the body axes of the stream's convention."""

@@ -16,6 +16,8 @@ class InnovationAdaptive(ProcessNoiseSource):
     a root of its density, Q_x / interval = root root^T, which has at most three columns.
     """
 
+    adapts = True
+
     def __init__(self, parameters: ProcessNoiseParameters, C_b_i: Array) -> None:
         super().__init__(parameters, C_b_i)
         self.window = parameters.adaptive_window

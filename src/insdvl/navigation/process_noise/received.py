@@ -37,6 +37,8 @@ class ProcessNoiseSource:
 
     #: Number of innovations that the prediction kernel needs before it takes an adapted density.
     window = 0
+    #: Whether it takes part in corrections, by `before_correction` or `after_correction`.
+    adapts = False
 
     def __init__(self, parameters: ProcessNoiseParameters, C_b_i: Array) -> None:
         self._parameters = parameters

@@ -44,6 +44,8 @@ def variational(P: Array, H: Array, R: Array, innovation: Array, tau: float) -> 
 class Variational(ProcessNoiseSource):
     """Leaves Q as it is, and adapts the predicted covariance to each innovation."""
 
+    adapts = True
+
     def __init__(self, parameters: ProcessNoiseParameters, C_b_i: Array) -> None:
         super().__init__(parameters, C_b_i)
         self._tau = parameters.adaptive_prior
