@@ -21,6 +21,8 @@ ROWS = (
     "adaptive xi=5 floored",
     "adaptive best xi",
     "adaptive variational",
+    "adaptive sage-husa Q",
+    "adaptive sage-husa Q and R",
     "dnn",
     "dnn default",
     "hcf paper",

@@ -75,6 +75,8 @@ _LITERAL = {f"adaptive xi={xi} literal": xi for xi in (1, 5)}
 _FLOORED = {f"adaptive xi={xi} floored": xi for xi in (1, 5)}
 BEST_XI = "adaptive best xi"
 VARIATIONAL = "adaptive variational"
+#: Sage and Husa, by the forms of the filter.
+SAGE_HUSA = {"adaptive sage-husa Q": "sage_husa", "adaptive sage-husa Q and R": "sage_husa_r"}
 
 #: All rows, in the order of the tables.
 ROWS = (
@@ -84,6 +86,7 @@ ROWS = (
     *_FLOORED,
     BEST_XI,
     VARIATIONAL,
+    *SAGE_HUSA,
     "dnn",
     "dnn default",
     "hcf paper",
@@ -229,6 +232,7 @@ _STEPS = tuple(10.0 ** (step / 3.0) for step in range(-1, 2))
 _W_DECADES_DRAWN = (1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5)
 _XI_GRID = (1, 2, 5, 10, 20, 50)
 _TAU_GRID = (1.0, 3.0, 10.0, 30.0)
+_FORGETTING_GRID = (0.95, 0.98, 0.99, 0.998)
 
 
 def constants(
@@ -252,8 +256,8 @@ def nominal(approach: Approach) -> tuple[float, float]:
 def adaptives(setting: Setting, best: tuple[float, float]) -> dict[str, tuple[Approach, ...]]:
     """Candidates for the best innovation-adaptive filters, by row.
 
-    Each window and prior is tried with two nominal Q: the first published constant and the best
-    constant.
+    Each window, prior and forgetting factor is tried with two nominal Q: the first published
+    constant and the best constant.
 
     Args:
         setting: Setting of the table.
@@ -272,7 +276,19 @@ def adaptives(setting: Setting, best: tuple[float, float]) -> dict[str, tuple[Ap
         )
         for (f, w), tau in product((FIRST, best), _TAU_GRID)
     )
-    return {BEST_XI: xi, VARIATIONAL: tau}
+    sage_husa = {
+        row: tuple(
+            Approach(
+                f"b={b:g}, nominal {f:.3g}/{w:.3g}",
+                setting.filter(
+                    (f, w), source="adaptive", adaptive_form=form, adaptive_forgetting=b
+                ),
+            )
+            for (f, w), b in product((FIRST, best), _FORGETTING_GRID)
+        )
+        for row, form in SAGE_HUSA.items()
+    }
+    return {BEST_XI: xi, VARIATIONAL: tau, **sage_husa}
 
 
 def model_of(row: str) -> str | None:
