@@ -53,7 +53,7 @@ def fly(
         SCENARIOS[scenario],
         seed=SEED,
         duration=DURATION,
-        dvl=dvl or DvlModel(noise_std=np.full(3, 0.02)),
+        dvl=dvl or DvlModel(noise_std=(0.02,) * 3),
         start_ns=100 * NS,
     )
     z = np.hstack([mission.f_b, mission.w_ib_b])
@@ -166,7 +166,7 @@ def interleaved() -> FoldResult:
             if k % 40 == 0:
                 fold.take()
     states = fold.states
-    return FoldResult(fold.filter, states, fold.updates, fold.counts, {})
+    return FoldResult(fold.filter, states, fold.track, fold.updates, fold.counts, {})
 
 
 MISSIONS: dict[str, Callable[[], FoldResult]] = {
@@ -180,7 +180,7 @@ MISSIONS: dict[str, Callable[[], FoldResult]] = {
     "gap": lambda: fly({}, change=gap),
     "dvl error": lambda: fly(
         {"dvl.bias_model": "gauss_markov", "dvl.bias_std": (0.05, 0.05, 0.05)},
-        dvl=DvlModel(noise_std=np.full(3, 0.02), bias_std=0.05),
+        dvl=DvlModel(noise_std=(0.02,) * 3, bias_std=0.05),
     ),
     "dvl error ned": lambda: fly({"dvl.bias_model": "gauss_markov", "error_state": "ned"}),
     "bad pings": lambda: fly({"gate.max_rejection_time": 15.0}, change=bad_pings),

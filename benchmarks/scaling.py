@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from speed import EVERY, RATE, SEED, SETTINGS, SIGMA, Subject
 
 from insdvl.arrays import Array
@@ -258,7 +259,10 @@ def drawn(growths: Sequence[Growth], file: Path) -> None:
         axes.loglog(x, y[-1] * (x / x[-1]) ** linear, "--", color="#999999", label="linear")
         axes.loglog(x, y, "o-", color="#0072b2", label=f"measured: exponent {growth.exponent:.2f}")
         axes.set_xticks(x, [f"{value:g}" for value in x])
-        axes.minorticks_off()
+        axes.xaxis.set_minor_locator(NullLocator())
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0)))
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axes.yaxis.set_minor_locator(NullLocator())
         axes.set_xlabel(growth.along)
         axes.set_title(growth.cost, fontsize=10)
         axes.legend(fontsize=8)

@@ -116,7 +116,7 @@ class Subject:
             SCENARIOS["constant-tableI"],
             seed=SEED,
             duration=DURATION,
-            dvl=DvlModel(noise_std=np.full(3, SIGMA)),
+            dvl=DvlModel(noise_std=(SIGMA,) * 3),
             start_ns=100 * NS,
         )
         m, truth = self.mission, self.mission.initial
@@ -299,7 +299,7 @@ def of_peers(subject: Subject) -> tuple[list[Timed], list[str]]:
         SCENARIOS["constant-tableI"],
         seed=SEED,
         duration=5.0,
-        dvl=DvlModel(noise_std=np.full(3, SIGMA)),
+        dvl=DvlModel(noise_std=(SIGMA,) * 3),
         start_ns=0,
     )
     samples = len(short.stamps_ns)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from insdvl.arrays import Array, Records
 
@@ -78,14 +79,14 @@ def compiled(folder: Path) -> Compiled | str:
     return Compiled(library, " ".join([Path(compiler).name, *_FLAGS[:1], *vectors]))
 
 
-def new_state() -> tuple[State, Array]:
+def new_state() -> tuple[State, NDArray[np.uint8]]:
     """A state at an address that is a multiple of 32, and the memory that holds it."""
     memory = np.zeros(ctypes.sizeof(State) + 32, np.uint8)
     offset = -memory.ctypes.data % 32
-    return State.from_buffer(memory, offset), memory
+    return State.from_buffer(memory.data, offset), memory
 
 
-def state_of(record: Records, w_ib_b: Array) -> tuple[State, Array]:
+def state_of(record: Records, w_ib_b: Array) -> tuple[State, NDArray[np.uint8]]:
     """The state of a filter's record (1,), and the memory that holds it.
 
     Args:

@@ -85,7 +85,7 @@ def _share(giver: InsdvlNode[Any], topic: str, taker: InsdvlNode[Any]) -> None:
 
 def _subscription_qos(node: InsdvlNode[Any], topic: str) -> dict[str, Any]:
     """The quality of service that a node's parameters ask for."""
-    found = node.get_parameters_by_prefix(f"qos_overrides.{topic}.subscription")
+    found: dict[str, Any] = node.get_parameters_by_prefix(f"qos_overrides.{topic}.subscription")
     return {name: parameter.value for name, parameter in found.items()}
 
 

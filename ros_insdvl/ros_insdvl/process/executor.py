@@ -46,6 +46,7 @@ class _Waited:
         self._timers = self._used(timer for node in nodes for timer in node.timers)
         self._clients = self._used(client for node in nodes for client in node.clients)
         self._services = self._used(service for node in nodes for service in node.services)
+        assert context.handle is not None  # it is initialised
         self._in_use.enter_context(context.handle)
         self._set = rclpy_implementation.WaitSet(
             len(self._subscriptions),

@@ -42,10 +42,9 @@ from ros_insdvl_sim.trials.environment import exit_code_of, graph_environment
 from ros_insdvl_sim.trials.processes import Processes
 from ros_insdvl_sim.trials.witness import Witness
 
-#: Speed against real time that leaves two cores some room (the graph then uses about 75 % of them;
-#: at 11 it loses messages), on a machine that serialises and deserialises an odometry message in
-#: this time.
-FULL_SPEED = 7.0
+#: Speed against real time that leaves two cores some room (idle, they lose nothing at 16), on a
+#: machine that serialises and deserialises an odometry message in this time.
+FULL_SPEED = 10.0
 REFERENCE_MESSAGE_TIME = 90e-6  # s
 
 RECORDING_SPEED = 0.6  # of the speed without a recorder, which takes as much as all else

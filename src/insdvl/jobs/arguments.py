@@ -2,7 +2,7 @@
 
 import argparse
 
-BACKENDS = ("loky", "dask")
+BACKENDS = ("loky", "threads", "dask")
 
 
 def add_worker_options(parser: argparse.ArgumentParser) -> None:
@@ -11,13 +11,14 @@ def add_worker_options(parser: argparse.ArgumentParser) -> None:
         "--jobs",
         type=int,
         metavar="N",
-        help="number of processes; results do not depend on it (default: all cores)",
+        help="number of workers; results do not depend on it (default: all cores)",
     )
     parser.add_argument(
         "--backend",
         default=BACKENDS[0],
         choices=BACKENDS,
-        help="loky: processes on this machine (default); dask: a Dask cluster, local or existing",
+        help="loky: processes on this machine (default); threads: of one process, which need less "
+        "memory and are slower; dask: a Dask cluster, local or existing",
     )
     parser.add_argument(
         "--scheduler",

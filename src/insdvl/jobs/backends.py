@@ -1,10 +1,10 @@
-"""Backends on this machine: this process, and worker processes of joblib (loky)."""
+"""Backends on this machine: this process, its threads, and worker processes of joblib (loky)."""
 
 import itertools
 import pickle
 import signal
 import warnings
-from concurrent.futures import BrokenExecutor
+from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,6 +14,7 @@ from insdvl.jobs.tasks import Function, Outcome, Outcomes, Work, WorkerDiedError
 
 with extra("jobs"):
     import joblib
+    from threadpoolctl import threadpool_limits
 
 
 class ThisProcess:
@@ -23,6 +24,35 @@ class ThisProcess:
         """See `Backend`."""
         for name, task in work.tasks.items():
             yield name, run_task(work.function, work.shared, task, work.paths.get(name))
+
+
+@dataclass(frozen=True)
+class Threads:
+    """Threads of this process, which share its memory.
+
+    Kernels run at the same time, all else one at a time.
+
+    Attributes:
+        jobs: Number of threads.
+    """
+
+    jobs: int
+
+    def outcomes(self, work: Work) -> Outcomes:
+        """See `Backend`."""
+        # The limit of a task is that of the process, and would end with the first one.
+        with threadpool_limits(1), ThreadPoolExecutor(self.jobs) as threads:
+            running = {
+                name: threads.submit(
+                    run_task, work.function, work.shared, task, work.paths.get(name)
+                )
+                for name, task in work.tasks.items()
+            }
+            try:
+                for name, future in running.items():
+                    yield name, future.result()
+            finally:
+                threads.shutdown(cancel_futures=True)
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,8 @@ class Workers:
 
     Attributes:
         backend: One of BACKENDS. ``loky`` is this process for one job, else worker processes of
-            joblib; ``dask`` is an existing cluster, or else one that is started on this machine.
+            joblib; ``threads`` are those of this process; ``dask`` is an existing cluster, or else
+            one that is started on this machine.
         jobs: Number of tasks at the same time; all cores by default. Not used with an existing
             cluster.
         scheduler: Address of an existing Dask cluster, such as ``tcp://host:8786``.

@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from insdvl.jobs.backends import Loky, ThisProcess
+from insdvl.jobs.backends import Loky, ThisProcess, Threads
 from insdvl.jobs.cluster import connect
 from insdvl.jobs.options import Workers
 from insdvl.jobs.progress import Progress
@@ -99,5 +99,7 @@ def open_pool(workers: Workers) -> Iterator[Pool]:
     if workers.backend == "dask":
         with contextlib.ExitStack() as stack:
             yield Pool(connect(workers, stack))
+    elif workers.jobs == 1:
+        yield Pool(ThisProcess())
     else:
-        yield Pool(ThisProcess() if workers.jobs == 1 else Loky(workers.jobs))
+        yield Pool((Threads if workers.backend == "threads" else Loky)(workers.jobs))

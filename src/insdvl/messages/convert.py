@@ -213,7 +213,7 @@ def _in_body(vectors: Array, convention: Convention) -> Array:
 
     The axes differ in signs only. The sum makes zero of minus zero.
     """
-    return np.asarray(np.diagonal(convention.body) * vectors + 0.0)
+    return convention.signs * vectors + 0.0
 
 
 class ImuSamples(NamedTuple):

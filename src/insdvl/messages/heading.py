@@ -56,8 +56,8 @@ def _orientation(message: Any) -> tuple[Any, Array | None]:
         return message.quaternion, None
     if hasattr(message, "pose"):
         name = "pose.covariance"
-        told = convert.square(message.pose.covariance, 6, name)[3:, 3:]
-        return message.pose.pose.orientation, convert.covariance(told, 3, f"{name}[3:6, 3:6]")
+        turns = convert.square(message.pose.covariance, 6, name)[3:, 3:]
+        return message.pose.pose.orientation, convert.covariance(turns, 3, f"{name}[3:6, 3:6]")
     name = "orientation_covariance"
     told = convert.covariance(message.orientation_covariance, 3, name)
     return message.orientation, told

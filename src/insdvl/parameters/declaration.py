@@ -315,7 +315,7 @@ def changed(group: _Group, values: Mapping[str, Any]) -> _Group:
     found = [f"parameter '{name}' is read-only" for name in values if name in fixed]
     if found:
         raise ParameterError("\n".join(found))
-    return build(type(group), flatten(group) | values)
+    return build(type(group), flatten(group) | dict(values))
 
 
 def flatten(group: Any, prefix: str = "") -> dict[str, Any]:

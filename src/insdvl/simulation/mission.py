@@ -1,7 +1,9 @@
 """A whole mission: truth, IMU, DVL, depth and heading of one vehicle and one seed."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,9 +101,11 @@ def _stamps(duration: float, rate: float) -> Stamps:
     return np.rint(np.arange(1, count + 1) * (NS / rate)).astype(np.int64)
 
 
-def _ideal(
-    trajectory: Trajectory, duration: float, rate: float, earth_rate: bool
-) -> tuple[Stamps, Truth, Array, Array]:
+#: Stamps (N,), truth, and ideal readings f (N, 3), w (N, 3).
+_Motion: TypeAlias = tuple[Stamps, Truth, Array, Array]
+
+
+def _ideal(trajectory: Trajectory, duration: float, rate: float, earth_rate: bool) -> _Motion:
     """Stamps, truth and ideal readings."""
     elapsed_ns = _stamps(duration, rate)
     t = np.minimum(elapsed_ns / NS, duration)  # a stamp may be rounded up
@@ -163,7 +167,7 @@ def simulate(
     profile_rng, noise_rng, bias_rng, dvl_rng, depth_rng, heading_rng, drawn_rng = streams
     dt = 1.0 / imu.rate
     drawn: Disturbances | None = None
-    ideal = _shared
+    ideal: Callable[[Trajectory, float, float, bool], _Motion] = _shared
     if isinstance(noise, Scenario):
         draw_rng, error_rng = drawn_rng.spawn(2)
         drawn = noise.draw(duration, imu.rate, draw_rng)

@@ -20,18 +20,19 @@ from insdvl.jobs.pool import TaskError, open_pool
 from insdvl.jobs.store import Store, environment
 from insdvl.kernels import source_digest
 
-BACKENDS = ("here", "loky", "dask")
+BACKENDS = ("here", "threads", "loky", "dask")
 
 
 @pytest.fixture(scope="module")
 def pools():
-    """One process, two of joblib, and a Dask cluster of two."""
+    """One process, two threads of it, two processes of joblib, and a Dask cluster of two."""
     with (
         open_pool(Workers("loky", 1)) as here,
+        open_pool(Workers("threads", 2)) as threads_,
         open_pool(Workers("loky", 2)) as loky,
         open_pool(Workers("dask", 2)) as dask,
     ):
-        yield {"here": here, "loky": loky, "dask": dask}
+        yield {"here": here, "threads": threads_, "loky": loky, "dask": dask}
 
 
 @pytest.fixture(scope="module")
@@ -102,10 +103,11 @@ def runs(folder):
 
 def test_identical_to_the_bit_wherever_they_run(pools):
     results = {name: pools[name].compute(product, trials(6), MATRIX) for name in BACKENDS}
+    assert bits(results["threads"]) == bits(results["here"])
     assert bits(results["loky"]) == bits(results["here"])
     assert bits(results["dask"]) == bits(results["here"])
     processes = {name: {int(result["process"]) for result in results[name]} for name in BACKENDS}
-    assert processes["here"] == {os.getpid()}
+    assert processes["here"] == processes["threads"] == {os.getpid()}
     assert not processes["loky"] & processes["here"]
     assert not processes["dask"] & (processes["here"] | processes["loky"])
 

@@ -232,6 +232,18 @@ def test_the_order_of_arrival_does_not_matter_much(mission: Mission) -> None:
     assert holes.startswith("gyroscope z has the wrong sign")
 
 
+def test_events_together_say_what_they_say_one_by_one(mission: Mission) -> None:
+    """Also with samples that come late."""
+    wrong = events(mission, w=reversed_axis("z"))
+    rng = np.random.default_rng(1)
+    wrong = sorted(wrong, key=lambda e: e.stamp_ns + int(rng.integers(0, NS // 50)))
+    together = AlignmentCheck(build(FilterParameters, {}))
+    for first in range(0, len(wrong), 50):
+        together.add_events(wrong[first : first + 50])
+    (finding,) = together.findings()
+    assert [finding] == check(wrong)
+
+
 def test_a_gap_begins_a_new_window(mission: Mission) -> None:
     watch = AlignmentCheck(FilterParameters())
     for event in events(mission):

@@ -25,8 +25,7 @@ class Frames(Cause):
 
     def took(self, events: list[Event]) -> None:
         """Let the check see what the fold took."""
-        for event in events:
-            self._check.add(event)
+        self._check.add_events(events)
 
     @property
     def counts(self) -> dict[str, int]:

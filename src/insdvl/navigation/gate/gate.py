@@ -130,7 +130,8 @@ class Gate:
                 now = self._again(s, now, now.R + np.outer(error, error))
                 fair = self._fair(s, now)
                 if probability > 0.5:
-                    _doubt(g, np.linalg.norm(error), int(g["rejected_from_ns"]), g["patient_for"])
+                    error_size, from_ns = float(np.linalg.norm(error)), int(g["rejected_from_ns"])
+                    _doubt(g, error_size, from_ns, int(g["patient_for"]))
         if not goes_on:
             if not fair.nis > limit:
                 g["drifts"] = 0

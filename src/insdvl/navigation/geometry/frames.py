@@ -6,6 +6,7 @@ directions, and a stream that already is NED/FRD passes through ``NED`` unchange
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -24,6 +25,11 @@ class Convention:
 
     nav: Array
     body: Array
+
+    @cached_property
+    def signs(self) -> Array:
+        """(3,) diagonal of ``body``, which has nothing else."""
+        return np.diagonal(self.body).copy()
 
     def attitude(self, C: Array) -> Array:
         """Body-to-navigation rotation (3, 3) from the one convention in the other."""

@@ -30,12 +30,12 @@ class Correlation(NamedTuple):
     Attributes:
         product: Mean product of a component with that of the innovation before.
         square: Mean square of a component.
-        count: Innovations that have told it.
+        pairs: Of innovations that have told it.
     """
 
     product: float
     square: float
-    count: int
+    pairs: int
 
 
 def normalised(innovation: Array, variances: Array) -> Array:
@@ -45,7 +45,7 @@ def normalised(innovation: Array, variances: Array) -> Array:
 
 def followed(told: Correlation, before: Array, now: Array) -> Correlation:
     """The correlation after one more pair of normalised innovations (m,)."""
-    count = told.count + 1
+    count = told.pairs + 1
     f = 1.0 / min(count, MEMORY)
     return Correlation(
         (1.0 - f) * told.product + f * float(np.mean(before * now)),
@@ -64,9 +64,9 @@ def doubt(told: Correlation, components: int) -> float:
         told: The correlation.
         components: m, of an innovation.
     """
-    if told.count == 0 or told.square <= 0.0:
+    if told.pairs == 0 or told.square <= 0.0:
         return 0.0
-    pairs = min(told.count, 2 * MEMORY - 1)
+    pairs = min(told.pairs, 2 * MEMORY - 1)
     sigmas = abs(told.product) / told.square * sqrt(components * pairs)
     return min(max((sigmas - DOUBT) / (SURE - DOUBT), 0.0), 1.0)
 

@@ -307,9 +307,21 @@ class DvlModel(SensorModel[Dvl]):
         """
         vehicle = self._vehicle
         z_minus_h, H, R = np.array(event.v_d), np.zeros((3, vehicle.n)), np.empty((3, 3))
-        records = state, vehicle.workspace, vehicle.constants
-        of_dvl = self._C_d_b, self._l_b, self._error_at, self._mount_at, self.noise(event)
-        linearise(*records, *of_dvl, turn.w_ib_b, turn.covariance, z_minus_h, H, R)
+        linearise(
+            state,
+            vehicle.workspace,
+            vehicle.constants,
+            self._C_d_b,
+            self._l_b,
+            self._error_at,
+            self._mount_at,
+            self.noise(event),
+            turn.w_ib_b,
+            turn.covariance,
+            z_minus_h,
+            H,
+            R,
+        )
         if not all(event.measured):
             _leave_out(~np.array(event.measured), state[0]["nav"]["P"], z_minus_h, H, R)
         return Linearised(z_minus_h, H, R)
@@ -329,15 +341,29 @@ class DvlModel(SensorModel[Dvl]):
             return None
         vehicle, innovation, S = self._vehicle, np.empty(3), np.empty((3, 3))
         nis = take_in(
-            *(state, memory, vehicle.workspace, vehicle.constants),
-            *(self._C_d_b, self._l_b, self._error_at, self._mount_at, self.noise(event)),
-            *(event.v_d, w_ib_b, share, limits, event.stamp_ns, patience_ns, innovation, S),
+            state,
+            memory,
+            vehicle.workspace,
+            vehicle.constants,
+            self._C_d_b,
+            self._l_b,
+            self._error_at,
+            self._mount_at,
+            self.noise(event),
+            event.v_d,
+            w_ib_b,
+            share,
+            limits,
+            event.stamp_ns,
+            patience_ns,
+            innovation,
+            S,
         )
         return None if isnan(nis) else (innovation, S, nis)
 
     def in_stream(self, innovation: Array, S: Array) -> tuple[Array, Array]:
         """Velocities, in the body axes of the stream's convention."""
-        signs = np.diagonal(self._vehicle.axes.body)  # a rotation would make nan of infinity
+        signs = self._vehicle.axes.signs  # a rotation would make nan of infinity
         return signs * innovation, signs[:, None] * S * signs
 
     def drift(self, s: State, seconds: float) -> Array:

@@ -3,9 +3,11 @@
 import numpy as np
 
 from insdvl.arrays import Array
+from insdvl.kernels import kernel
 from insdvl.navigation.events import ProcessNoise
+from insdvl.navigation.geometry.rotation import product, product_transposed
 from insdvl.navigation.kalman import Innovated
-from insdvl.navigation.process_noise.nominal import nominal, symmetric
+from insdvl.navigation.process_noise.nominal import nominal
 from insdvl.navigation.process_noise.parameters import ProcessNoiseParameters
 from insdvl.navigation.state import NEVER, State
 
@@ -16,15 +18,42 @@ def bounded(Q: Array, floor: float, ceiling: float) -> tuple[Array, bool, bool]:
     Returns:
         The covariance, whether the floor acted, and whether the ceiling did.
     """
-    diagonal = np.diagonal(Q)
-    if np.count_nonzero(Q - np.diag(diagonal)) == 0:
-        low, high = bool((diagonal < floor).any()), bool((diagonal > ceiling).any())
-        return np.diag(np.clip(diagonal, floor, ceiling)), low, high
+    result, Q = np.zeros((3, 3)), np.array(Q)
+    is_diagonal, low, high = _bounded_diagonal(result, Q, floor, ceiling)
+    if is_diagonal:
+        return result, low, high
     variances, axes = np.linalg.eigh(Q)
     low, high = bool(variances[0] < floor), bool(variances[-1] > ceiling)
     if not (low or high):
         return Q, False, False
     return (axes * np.clip(variances, floor, ceiling)) @ axes.T, low, high
+
+
+@kernel
+def _bounded_diagonal(
+    result: Array, Q: Array, floor: float, ceiling: float
+) -> tuple[bool, bool, bool]:
+    """`bounded` for independent channels; whether they are, into ``result`` (3, 3) of zeros."""
+    low, high = False, False
+    for i in range(3):
+        for j in range(3):
+            if i != j and Q[i, j] != 0.0:
+                return False, False, False
+        low, high = low or Q[i, i] < floor, high or Q[i, i] > ceiling
+        result[i, i] = min(max(Q[i, i], floor), ceiling)
+    return True, low, high
+
+
+@kernel
+def _rotated(C: Array, Q: Array) -> Array:
+    """C Q C^T (3, 3), as symmetric as Q."""
+    A, B = np.empty((3, 3)), np.empty((3, 3))
+    product(A, C, Q)
+    product_transposed(B, A, C)
+    for i in range(3):
+        for j in range(i):
+            B[i, j] = B[j, i] = (B[i, j] + B[j, i]) / 2.0
+    return B
 
 
 class ProcessNoiseSource:
@@ -63,12 +92,12 @@ class ProcessNoiseSource:
             Q_f = self.Q_f_nominal
         else:
             Q_f, low_f, high_f = bounded(Q_f, p.accelerometer_floor, p.accelerometer_ceiling)
-            Q_f = symmetric(C @ Q_f @ C.T)
+            Q_f = _rotated(C, Q_f)
         if Q_w is None:
             Q_w = self.Q_w_nominal
         else:
             Q_w, low_w, high_w = bounded(Q_w, p.gyroscope_floor, p.gyroscope_ceiling)
-            Q_w = symmetric(C @ Q_w @ C.T)
+            Q_w = _rotated(C, Q_w)
         noise, counters = s["noise"], s["counters"]
         noise["Q_f"], noise["Q_w"], noise["q_ns"] = Q_f, Q_w, event.stamp_ns
         counters["floors"] += int(low_f or low_w)

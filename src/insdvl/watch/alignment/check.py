@@ -14,7 +14,7 @@ the motion does not tell accuses nobody.
 
 from bisect import insort
 from collections import deque
-from collections.abc import Generator
+from collections.abc import Generator, Iterable
 
 import numpy as np
 
@@ -158,6 +158,27 @@ class AlignmentCheck:
         self._closed = self._explained = 0  # windows, and those of them that were explained
         self._thought: Generator[None, None, list[Explanation]] | None = None
         self._explanations: list[Explanation] = []
+
+    def add_events(self, events: Iterable[Event]) -> None:
+        """Take events as `add` does, samples that follow one another at once."""
+        run: list[Imu] = []
+        for event in events:
+            is_sample = isinstance(event, Imu)
+            if run and not (is_sample and event.stamp_ns > run[-1].stamp_ns):
+                self._add_run(run)
+                run = []
+            if isinstance(event, Imu):
+                run.append(event)
+            else:
+                self.add(event)
+        if run:
+            self._add_run(run)
+
+    def _add_run(self, run: list[Imu]) -> None:
+        stamps_ns = np.array([sample.stamp_ns for sample in run])
+        f_b = np.array([sample.f_b for sample in run])
+        w_ib_b = np.array([sample.w_ib_b for sample in run])
+        self.add_samples(stamps_ns, f_b, w_ib_b)
 
     def add(self, event: Event) -> None:
         """Take an event; one without axes is ignored."""
