@@ -39,7 +39,7 @@ ROWS = (
     "perfect heading",
 )
 #: Rows that are not among all, and have to be asked for.
-R_ROWS = ("R nominal", "R adaptive", "R learned", "R oracle")
+R_ROWS = ("R nominal", "R adaptive", "R learned", "R oracle", "bands with R adaptive")
 ERROR_STATES = ("invariant", "ned")
 DURATION = 330  # s
 
