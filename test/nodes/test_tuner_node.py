@@ -238,3 +238,22 @@ def test_a_missing_model_ends_the_node_with_its_name(bad_models):
     assert ended.code == 1
     assert str(model.with_suffix(".json")) in ended.err
     assert "Traceback" not in ended.err
+
+
+def test_an_estimator_of_your_own_is_published_and_its_failure_told(managed, tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "noise_of_a_node_test.py").write_text(
+        "def variances(samples, rate):\n    return [1.0] * 6 if len(samples) < 350 else 1 / 0\n"
+    )
+    own = "noise_of_a_node_test:variances"
+    graph = managed(TunerGraph(estimator=own))
+    graph.send([imu_message(k, sample) for k, sample in enumerate(samples(500))])
+    graph.wait_for_stamps(boundaries(3, 3))
+    assert graph.received[0].linear_acceleration_covariance[0] == 1.0
+    graph.until_reported(NODE, times=2)
+    status = graph.status(NODE, "process noise")
+    assert status.level == WARN
+    assert f"estimator '{own}' failed: ZeroDivisionError" in status.message
+    assert graph.diagnostics.report(NODE).values["model"] == own
+    with pytest.raises(ParameterError, match="has no function 'absent'"):
+        managed(Graph("/auv")).make(TunerNode, estimator="noise_of_a_node_test:absent")

@@ -93,7 +93,7 @@ class Filter:
             workspace=self._workspace,
         )
         self.start = Start(parameters.initial, parameters.origin, self.vehicle, blocks)
-        self.process_noise = source_of(parameters.process_noise, self.C_b_i)
+        self.process_noise = source_of(parameters.process_noise, self.vehicle)
         self._fill_constants()
         c = self.constants[0]
         for block in blocks:
@@ -315,8 +315,10 @@ class Filter:
 
     def _correct(self, state: Records, event: Measurement, turn: Turn, now: Innovated) -> None:
         s, model, stamp_ns = state[0], self.models[event.name], event.stamp_ns
+        judged_ns = s["gate"][event.name]["judged_ns"]
+        seconds = (stamp_ns - int(judged_ns)) / NS if judged_ns != NEVER else np.nan
         if model.tells_velocity:
-            now = self.process_noise.before_correction(s, now)
+            now = self.process_noise.before_correction(s, now, seconds)
         invariant = self.vehicle.invariant
         covers = invariant and self.parameters.earth_rate and model.angles
         heading = float(s["nav"]["P"][_HEADING, _HEADING]) if covers else 0.0
@@ -337,8 +339,6 @@ class Filter:
             self.start.doubt_heading(s)
         self._gates[event.name].accept(state, stamp_ns, now.H, K, left)
         if model.tells_velocity:
-            judged_ns = s["gate"][event.name]["judged_ns"]
-            seconds = (stamp_ns - int(judged_ns)) / NS if judged_ns != NEVER else np.nan
             self.process_noise.after_correction(s, K, now.innovation, seconds)
 
     @staticmethod

@@ -115,7 +115,8 @@ class Model:
             (M,), in the square of that unit.
 
         Raises:
-            ValueError: A window has another length, or is not finite or too large.
+            ValueError: A window has another length, or is not finite or too large; or channels
+                are missing.
         """
         if windows.ndim != 2 or not self.window <= windows.shape[1] <= self.history:
             lengths = f"{self.window}"

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from insdvl.arrays import Array, Stamps
 from insdvl.navigation.events import NS
-from insdvl.tuner.windows import CHANNELS, period
+from insdvl.tuner.own import HISTORY, WINDOW, OwnEstimator
+from insdvl.tuner.windows import CHANNELS, period, rate_of
 
 Indices = NDArray[np.intp]
 
@@ -116,3 +117,20 @@ def at_windows(
             chosen = np.ascontiguousarray(windows[closing[some] - (length - 1)])
             results[some] = compute(chosen.reshape(-1, length)).reshape(-1, CHANNELS, *shape)
     return stamps_ns[closing], results
+
+
+def tuned_by_own(
+    stamps_ns: Stamps, samples: Array, own: OwnEstimator, rate: float, max_gap_ns: int
+) -> tuple[Stamps, Array]:
+    """The same with an estimator of your own; see `tuned`.
+
+    Raises:
+        EstimatorError: The estimator failed.
+    """
+    closing, filled = closing_samples(stamps_ns, WINDOW, rate, max_gap_ns)
+    variances = np.empty((closing.size, CHANNELS))
+    for row, last, count in zip(variances, closing, np.minimum(filled, HISTORY), strict=True):
+        first = last - count + 1
+        of_imu = rate_of(int(stamps_ns[first]), int(stamps_ns[last]), int(count))
+        row[:] = own(samples[first : last + 1], of_imu)
+    return stamps_ns[closing], variances

@@ -11,6 +11,11 @@ class TunerParameters:
 
     enabled: bool = parameter(True, "Publish process_noise; ~/enable changes it at run time.")
     model: str = parameter("default", "Name of a shipped model, or path of a model file.")
+    estimator: str = parameter(
+        "",
+        "A function PACKAGE.MODULE:FUNCTION that estimates Q in place of a model; empty for the "
+        "model.",
+    )
     rate: float = parameter(
         1.0,
         "Rate of the estimates of Q, in the time of the stamps.",

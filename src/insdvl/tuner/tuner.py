@@ -21,6 +21,8 @@ from insdvl.navigation.events import NS
 from insdvl.parameters.declaration import ParameterError
 from insdvl.tuner.features.differences import bounded
 from insdvl.tuner.models import load_model
+from insdvl.tuner.offline import Estimator
+from insdvl.tuner.own import HISTORY, WINDOW, EstimatorError, OwnEstimator
 from insdvl.tuner.parameters import TunerParameters
 from insdvl.tuner.windows import CHANNELS, Window, period
 
@@ -43,34 +45,49 @@ class Tuner:
 
     Attributes:
         enabled: While False there are no estimates; the window is still filled.
-        model: The model in use.
+        name: Of the model, or of the estimator that is in its place.
+        window: Least number of samples of an estimate.
+        failure: Of the estimator in use, the last one; empty while there was none.
     """
 
     def __init__(self, parameters: TunerParameters) -> None:
-        """Load the model and compile its functions.
+        """Load the model and compile its functions, or import the estimator and try it.
 
         Raises:
             ModelError: The model cannot be used, see `load_model`.
-            ParameterError: Its window is too short for the differences.
+            ParameterError: The estimator cannot be used, or the window is too short for the
+                differences.
         """
         self.enabled = parameters.enabled
-        self.model = load_model(parameters.model)
-        if parameters.difference_order >= self.model.window:
+        estimate, self.window, history = self._chosen(parameters)
+        if parameters.difference_order >= self.window:
             raise ParameterError(
-                f"parameter 'difference_order' must be less than the {self.model.window} samples "
-                f"of the model's window, got {parameters.difference_order}"
+                f"parameter 'difference_order' must be less than the {self.window} samples "
+                f"of the window, got {parameters.difference_order}"
             )
-        self._estimate = bounded(
-            self.model.variances, parameters.difference_order, self.model.window
-        )
+        self._estimate = bounded(estimate, parameters.difference_order, self.window)
         self._rate = Fraction(parameters.rate) / NS  # periods in a nanosecond, exactly
-        self._window = Window(self.model.history, round(parameters.max_gap * NS))
-        self._made = {"windows": 0, "too_large": 0}
-        self._estimate(np.zeros((CHANNELS, self.model.window)))
+        self._window = Window(history, round(parameters.max_gap * NS))
+        self._made = {"windows": 0, "too_large": 0, "failed": 0}
+        self.failure = ""
+
+    def _chosen(self, parameters: TunerParameters) -> tuple[Estimator, int, int]:
+        """What estimates, and the least and the largest number of samples that it uses."""
+        if parameters.estimator:
+            try:
+                own = OwnEstimator(parameters.estimator)
+            except EstimatorError as error:
+                raise ParameterError(f"parameter 'estimator': {error}") from error
+            self.name = own.name
+            return lambda windows: own(windows.T, self._window.rate), WINDOW, HISTORY
+        model = load_model(parameters.model)
+        model.variances(np.zeros((CHANNELS, model.window)))
+        self.name = model.card["name"]
+        return model.variances, model.window, model.history
 
     @property
     def counts(self) -> dict[str, int]:
-        """Samples used and dropped, see `Window`; windows used, and rejected as too large."""
+        """Samples used and dropped, see `Window`; windows used, too large, and failed."""
         return self._window.counts | self._made
 
     def add(self, stamp_ns: int, sample: Array) -> TunedNoise | None:
@@ -88,10 +105,14 @@ class Tuner:
             return None
         if previous is None or period(stamp_ns, self._rate) == period(previous, self._rate):
             return None
-        if self._window.filled < self.model.window or not self.enabled:
+        if self._window.filled < self.window or not self.enabled:
             return None
         try:
             variances = self._estimate(self._window.samples())
+        except EstimatorError as error:
+            self._made["failed"] += 1
+            self.failure = str(error)
+            return None
         except ValueError:  # the samples are finite, their features are not
             self._made["too_large"] += 1
             return None

@@ -1,5 +1,6 @@
 """The last samples of an IMU without a gap, and the periods of the tuner."""
 
+from collections import deque
 from fractions import Fraction
 from typing import TypeVar
 
@@ -7,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl.arrays import Array
+from insdvl.navigation.events import NS
 
 CHANNELS = 6  # specific force x, y, z, angular rate x, y, z
 
@@ -53,6 +55,7 @@ class Window:
         self._max_gap_ns = max_gap_ns
         # Every sample is written twice, N apart: the last N are then always contiguous.
         self._ring = np.zeros((CHANNELS, 2 * size))
+        self._stamps: deque[int] = deque(maxlen=size)
         self._next = 0
         self.filled = 0
 
@@ -76,6 +79,7 @@ class Window:
                 self.counts["gaps"] += 1
                 self.filled = 0
         self.stamp_ns = stamp_ns
+        self._stamps.append(stamp_ns)
         self.counts["samples"] += 1
         self._ring[:, self._next] = sample
         self._ring[:, self._next + self._size] = sample
@@ -87,3 +91,13 @@ class Window:
         """The samples of each channel, oldest first, (6, filled)."""
         end = self._next + self._size
         return self._ring[:, end - self.filled : end]
+
+    @property
+    def rate(self) -> float:
+        """Rate of the samples [Hz], of which there are at least two."""
+        return rate_of(self._stamps[-self.filled], self._stamps[-1], self.filled)
+
+
+def rate_of(first_ns: int, last_ns: int, samples: int) -> float:
+    """Rate [Hz] of a number of samples > 1 with the first and the last of these stamps."""
+    return (samples - 1) * NS / (last_ns - first_ns)

@@ -42,6 +42,11 @@ SETTINGS: dict[str, dict[str, Any]] = {
         "process_noise.source": "adaptive",
         "process_noise.adaptive_form": "variational",
     },
+    "sage_husa": {
+        "process_noise.source": "adaptive",
+        "process_noise.adaptive_form": "sage_husa_r",
+        "error_state": "ned",
+    },
 }
 
 

@@ -186,3 +186,23 @@ def test_progress_has_the_time_left_and_is_on_a_terminal_only(
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     replayed(folder)
     assert re.search(r"seconds: 29/30, 0:\d\d elapsed, 0:\d\d left", capsys.readouterr().err)
+
+
+def test_an_estimator_of_your_own_gives_q(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.syspath_prepend(str(folder))
+    (folder / "noise_of_a_test.py").write_text(
+        "def variances(samples, rate):\n    return samples.var(axis=0)\n\n"
+        "def late(samples, rate):\n    return [1.0] * 6 if len(samples) < 500 else None\n"
+    )
+    document = replayed(folder, "--estimator", "noise_of_a_test:variances")
+    assert document["process_noise"] == "external, learned by noise_of_a_test:variances"
+    assert document["model"] is None
+    learned = replayed(folder, "--set", "process_noise.source=external")
+    assert document["nis_mean"] != learned["nis_mean"]
+    replayed(folder, "--estimator", "noise_of_a_test:late", code=2)
+    replayed(folder, "--estimator", "noise_of_a_test:absent", code=2)
+    late, absent = [line for line in capsys.readouterr().err.splitlines() if "estimator" in line]
+    assert "estimator 'noise_of_a_test:late' must answer 6 variances" in late
+    assert absent.endswith("noise_of_a_test has no function 'absent'")

@@ -76,7 +76,7 @@ def test_the_command_writes_a_model_that_a_tuner_can_use(tmp_path, monkeypatch, 
     assert model.card["data_set"]["examples"] == 60 * 6
     chosen, errors = (model.card["ensemble"][k] for k in ("chosen", "validation_rms_log_q"))
     assert errors[chosen] == min(errors.values())
-    white = np.random.default_rng(0).standard_normal((50, 600))
+    white = np.random.default_rng(0).standard_normal((48, 600))
     np.testing.assert_allclose(
         model.variances(4.0 * white), 16.0 * model.variances(white), rtol=1e-12
     )

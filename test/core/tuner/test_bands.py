@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 
-from insdvl.tuner.features.band_features import BAND_FEATURE_NAMES, band_bounds, band_features
+from insdvl.tuner.features.band_features import (
+    BAND_FEATURE_NAMES,
+    TOLD,
+    band_bounds,
+    band_features,
+)
 from insdvl.tuner.features.band_forms import degrees, least_band, median_of_spectrum, single_band
 from insdvl.tuner.features.bands import band_powers
 
@@ -68,37 +73,66 @@ def test_closed_forms_are_unbiased_for_white_noise(form, n):
 
 
 def test_features_do_not_depend_on_the_unit_and_the_scale_does():
-    x = white(3, 1400) + np.sin(np.arange(1400) / 30.0)
+    x = white(6, 1400) + np.sin(np.arange(1400) / 30.0)
     X, scale = band_features(x)
     X_8, scale_8 = band_features(8.0 * x)
     np.testing.assert_array_equal(X_8, X)
     np.testing.assert_array_equal(scale_8, 64.0 * scale)
-    assert X.shape == (3, len(BAND_FEATURE_NAMES))
+    assert X.shape == (6, len(BAND_FEATURE_NAMES))
     assert (X[:, -1] == 7.0).all()
 
 
-def test_rows_do_not_depend_on_each_other():
-    x = white(7, 2000)
+def test_imus_do_not_depend_on_each_other():
+    x = white(18, 2000)
     X, scale = band_features(x)
-    for m in range(7):
-        alone, of_it = band_features(x[m : m + 1])
-        np.testing.assert_array_equal(alone[0], X[m])
-        assert of_it[0] == scale[m]
+    for m in (0, 6, 12):
+        alone, of_it = band_features(x[m : m + 6])
+        np.testing.assert_array_equal(alone, X[m : m + 6])
+        np.testing.assert_array_equal(of_it, scale[m : m + 6])
+
+
+def test_a_channel_has_the_mean_spectra_of_the_others():
+    x = np.exp(np.arange(6.0))[:, None] * white(6, 900)
+    X, scale = band_features(x)
+    told = len(TOLD)
+    triad, other = (BAND_FEATURE_NAMES.index(f"{of}_near_0") for of in ("triad", "other"))
+    for m in range(6):
+        first = m // 3 * 3
+        siblings = [k for k in range(first, first + 3) if k != m]
+        others = range(3 - first, 6 - first)
+        for at, rows in ((triad, siblings), (other, others)):
+            expected = np.mean([X[k, :told] for k in rows], axis=0)
+            np.testing.assert_allclose(X[m, at : at + told], expected, rtol=1e-12)
+        level = np.mean([np.log(scale[m] / scale[k]) for k in siblings])
+        assert X[m, BAND_FEATURE_NAMES.index("above_triad")] == pytest.approx(level)
+    assert X[:, BAND_FEATURE_NAMES.index("gyroscope")].tolist() == [0.0] * 3 + [1.0] * 3
+
+
+def test_a_frozen_channel_tells_the_others_nothing():
+    x = white(6, 600)
+    x[[1, 2]] = 0.0
+    X, scale = band_features(x)
+    assert scale[1] == scale[2] == 0.0 and np.isfinite(X).all()
+    triad = BAND_FEATURE_NAMES.index("triad_near_0")
+    np.testing.assert_array_equal(X[0, triad : triad + len(TOLD)], X[0, : len(TOLD)])
+    assert X[0, BAND_FEATURE_NAMES.index("above_triad")] == 0.0
+    other = BAND_FEATURE_NAMES.index("other_near_0")
+    np.testing.assert_array_equal(X[5, other : other + len(TOLD)], X[0, : len(TOLD)])
 
 
 def test_only_the_last_2000_samples_count():
-    x = white(2, 2500)
+    x = white(6, 2500)
     np.testing.assert_array_equal(band_features(x)[0], band_features(x[:, 500:])[0])
 
 
 @pytest.mark.parametrize("value", [0.0, 9.80665, -1e9])
 def test_a_constant_window_has_no_noise(value):
-    X, scale = band_features(np.full((1, 2000), value))
+    X, scale = band_features(np.full((6, 2000), value))
     assert np.isfinite(X).all() and scale[0] == 0.0
 
 
 def test_bounds_are_the_least_and_the_greatest_band():
-    x = white(5, 2000)
+    x = white(6, 2000)
     X, scale = band_features(x)
     bands = band_powers(x)
     low, high = band_bounds(X)
@@ -111,3 +145,8 @@ def test_bounds_are_the_least_and_the_greatest_band():
 def test_unusable_windows_are_rejected(wrong):
     with pytest.raises(ValueError, match=r"windows must be|values must be within"):
         band_powers(wrong)
+
+
+def test_windows_that_are_no_whole_imu_are_rejected():
+    with pytest.raises(ValueError, match="whole IMUs, 6 rows each, got 7 rows"):
+        band_features(white(7, 400))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from insdvl.navigation.events import NS
+from insdvl.tuner.models import load_model
 from insdvl.tuner.offline import closing_samples, tuned
 from insdvl.tuner.parameters import TunerParameters
 from insdvl.tuner.tuner import Tuner
@@ -31,14 +32,15 @@ def recording(kind: str) -> np.ndarray:
 
 @pytest.mark.parametrize("kind", ["regular", "jitter", "gaps", "slow"])
 @pytest.mark.parametrize("rate", [1.0, 0.3, 7.0])
-def test_equals_the_tuner_to_the_bit(kind, rate):
+@pytest.mark.parametrize("name", ["default", "bands"])
+def test_equals_the_tuner_to_the_bit(kind, rate, name):
     stamps = recording(kind)
     samples = 9.8 + 0.1 * np.random.default_rng(6).standard_normal((stamps.size, 6))
-    tuner = Tuner(TunerParameters(rate=rate, max_gap=MAX_GAP))
+    tuner = Tuner(TunerParameters(model=name, rate=rate, max_gap=MAX_GAP))
     answers = [tuner.add(stamp, row) for stamp, row in zip(stamps, samples, strict=True)]
     expected = [answer for answer in answers if answer is not None]
     assert expected
-    model = tuner.model
+    model = load_model(name)
     at, q = tuned(
         stamps, samples, model.variances, model.window, rate, round(MAX_GAP * NS), model.history
     )

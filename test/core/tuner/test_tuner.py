@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from insdvl.navigation.events import NS
-from insdvl.tuner.models import ModelError
+from insdvl.tuner.models import ModelError, load_model
 from insdvl.tuner.parameters import TunerParameters
 from insdvl.tuner.tuner import TunedNoise, Tuner
 from insdvl.tuner.windows import Window
@@ -12,6 +12,7 @@ from insdvl.tuner.windows import Window
 START = 1_700_000_000 * NS
 STEP = NS // 100
 N = 200
+MODEL = load_model("default")
 
 
 def samples(n: int, seed: int = 0) -> np.ndarray:
@@ -54,7 +55,7 @@ def test_a_window_is_the_last_n_samples_and_includes_the_one_that_closes_it():
     estimates = run(tuner, grid(450), data)
     assert seconds(estimates) == [2.0, 3.0, 4.0]
     for estimate, end in zip(estimates, (200, 300, 400), strict=True):
-        expected = tuner.model.variances(data[end - N : end].T)
+        expected = MODEL.variances(data[end - N : end].T)
         np.testing.assert_array_equal(estimate.variances, expected)
 
 

@@ -175,8 +175,8 @@ def test_a_card_that_does_not_fit_is_refused(model, change, message):
 @pytest.mark.parametrize("name", sorted(SCHEMAS))
 def test_the_shortest_window_of_a_schema_is_one_that_it_can_use(name):
     schema = SCHEMAS[name]
-    X, scale = schema.extract(np.random.default_rng(0).standard_normal((3, schema.min_samples)))
-    assert X.shape == (3, schema.width(schema.min_samples)) and scale.shape == (3,)
+    X, scale = schema.extract(np.random.default_rng(0).standard_normal((6, schema.min_samples)))
+    assert X.shape == (6, schema.width(schema.min_samples)) and scale.shape == (6,)
     assert np.isfinite(X).all()
 
 

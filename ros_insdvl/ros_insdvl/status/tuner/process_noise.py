@@ -22,10 +22,9 @@ class Learned:
         self._max_gap = max_gap
 
     def status(self, view: View, latest: TunedNoise | None) -> Status:
-        """Model, switch, and the six sigmas of the latest Q."""
-        model = self._tuner.model.card["name"]
-        status = Status("process noise", f"learned by the model {model}")
-        status.values["model"] = model
+        """What learns, switch, and the six sigmas of the latest Q."""
+        status = Status("process noise", f"learned by {self._tuner.name}")
+        status.values["model"] = self._tuner.name
         status.values["enabled"] = self._tuner.enabled
         if not self._tuner.enabled:
             status.complain(
@@ -36,8 +35,7 @@ class Learned:
                 WARN,
                 "nothing",
                 f"no window was usable in the last {RECENT:.0f} s: it takes "
-                f"{self._tuner.model.window} samples in a row without a gap"
-                + self._what_emptied(view),
+                f"{self._tuner.window} samples in a row without a gap" + self._what_emptied(view),
             )
         if count := view.events.recent["too_large"]:
             status.complain(
@@ -46,10 +44,14 @@ class Learned:
                 f"{count} windows in the last {RECENT:.0f} s had values too large to learn from: "
                 "check the IMU",
             )
+        if count := view.events.recent["failed"]:
+            status.complain(
+                WARN, "failed", f"{count} times in the last {RECENT:.0f} s: {self._tuner.failure}"
+            )
         if latest is not None:
             sigmas = np.sqrt(latest.variances)
             show_sigmas(status, sigmas[:3], sigmas[3:])
-        view.show_events(status, "samples", "windows", "too_large")
+        view.show_events(status, "samples", "windows", "too_large", "failed")
         view.show(status, PROCESS_NOISE)
         return status
 

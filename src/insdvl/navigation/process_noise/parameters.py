@@ -66,9 +66,10 @@ class ProcessNoiseParameters:
     adaptive_form: str = parameter(
         "floored",
         "What the adaptive source does: add its estimate to the nominal Q (floored); replace Q by "
-        "it (literal); or leave Q alone and estimate the predicted covariance at each update by "
-        "variational Bayes (variational).",
-        choices=("floored", "literal", "variational"),
+        "it (literal); leave Q alone and estimate the predicted covariance at each update by "
+        "variational Bayes (variational); or adapt Q, from the nominal on, by the recursion of "
+        "Sage and Husa (sage_husa), or Q and R of the DVL (sage_husa_r).",
+        choices=("floored", "literal", "variational", "sage_husa", "sage_husa_r"),
     )
     adaptive_prior: float = parameter(
         10.0,
@@ -76,6 +77,14 @@ class ProcessNoiseParameters:
         "'variational'.",
         above=0.0,
         high=1e6,
+    )
+
+    adaptive_forgetting: float = parameter(
+        0.98,
+        "Weight of what was learned before an innovation (b), for the forms 'sage_husa' and "
+        "'sage_husa_r'.",
+        low=0.5,
+        high=0.9999,
     )
 
     def __post_init__(self) -> None:

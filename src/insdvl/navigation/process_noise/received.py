@@ -103,12 +103,13 @@ class ProcessNoiseSource:
         counters["floors"] += int(low_f or low_w)
         counters["ceilings"] += int(high_f or high_w)
 
-    def before_correction(self, s: State, now: Innovated) -> Innovated:
+    def before_correction(self, s: State, now: Innovated, seconds: float) -> Innovated:
         """The measurement against its prediction, which a source may change; this one does not.
 
         Args:
             s: State at the measurement, which is accepted.
             now: The measurement against its prediction.
+            seconds: Since the measurement before; nan at the first.
         """
         return now
 

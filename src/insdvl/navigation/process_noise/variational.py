@@ -50,7 +50,7 @@ class Variational(ProcessNoiseSource):
         super().__init__(parameters, C_b_i)
         self._tau = parameters.adaptive_prior
 
-    def before_correction(self, s: State, now: Innovated) -> Innovated:
+    def before_correction(self, s: State, now: Innovated, seconds: float) -> Innovated:
         """Replace P by what the innovation says of it."""
         n = now.H.shape[1]
         P = s["nav"]["P"]

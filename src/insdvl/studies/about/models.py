@@ -23,21 +23,25 @@ def run(arguments: argparse.Namespace) -> int:
     for row in rows:
         print("  ".join(f"{cell:{w}}" for cell, w in zip(row, widths, strict=True)).rstrip())
     print()
-    print("window: samples; trained on: variances of the noise; error: relative RMSE on")
-    print("trajectories that training has not seen. The tuner's parameter 'model' takes a name.")
+    print("window: samples; trained on: variances of white noise, or kinds of vehicles; error, on")
+    print("what training has not seen: relative RMSE, or RMS of the logarithm of the variance.")
+    print("The tuner's parameter 'model' takes a name.")
     return 0
 
 
 def _row(card: Mapping[str, Any]) -> tuple[str, ...]:
     """A card as a row; what it does not say is empty."""
-    variances = card.get("data_set", {}).get("variances", [])
-    error = card.get("metrics", {}).get("trajectory_split", {}).get("relative_rmse")
+    data_set, metrics = card.get("data_set", {}), card.get("metrics", {})
+    variances, kinds = data_set.get("variances", []), data_set.get("kinds", [])
+    of_vehicles = metrics.get("test_rms_log_q", {}).get("learned", {}).get("all")
+    error = metrics.get("trajectory_split", {}).get("relative_rmse")
+    trained_on = f"{variances[0]:g} to {variances[-1]:g}" if variances else ""
     return (
         card["name"],
         card["kind"],
         card["feature_schema"],
         str(card["window"]),
-        f"{variances[0]:g} to {variances[-1]:g}" if variances else "",
-        f"{error:.1%}" if error is not None else "",
+        f"{len(kinds)} kinds of vehicles" if kinds else trained_on,
+        f"{error:.1%}" if error is not None else f"{of_vehicles:.2f} in log" if of_vehicles else "",
         _NEEDS.get(card["kind"], ""),
     )

@@ -21,6 +21,8 @@ ROWS = (
     "adaptive xi=5 floored",
     "adaptive best xi",
     "adaptive variational",
+    "adaptive sage-husa Q",
+    "adaptive sage-husa Q and R",
     "dnn",
     "dnn default",
     "hcf paper",
@@ -38,7 +40,7 @@ ROWS = (
 )
 #: Rows that are not among all, and have to be asked for.
 TAUGHT = "taught"
-R_ROWS = ("R nominal", "R adaptive", "R learned", "R oracle")
+R_ROWS = ("R nominal", "R adaptive", "R learned", "R oracle", "bands with R adaptive")
 ERROR_STATES = ("invariant", "ned")
 DURATION = 330  # s
 
@@ -103,6 +105,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--model",
         metavar="FILE",
         help="also evaluate your own model (card next to the file)",
+    )
+    parser.add_argument(
+        "--estimator",
+        metavar="PACKAGE.MODULE:FUNCTION",
+        help="also evaluate your own estimator, see docs/how-to/estimator.md",
     )
     parser.add_argument(
         "--runs", type=int, default=100, metavar="N", help="number of paired runs (default: 100)"

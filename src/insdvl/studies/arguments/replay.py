@@ -45,6 +45,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "numbers side by side; once for each further configuration",
     )
     parser.add_argument(
+        "--estimator",
+        metavar="PACKAGE.MODULE:FUNCTION",
+        help="take Q from your own estimator, see docs/how-to/estimator.md",
+    )
+    parser.add_argument(
         "--namespace",
         metavar="NS",
         help="namespace of the nodes; by default the one that the sections are for",

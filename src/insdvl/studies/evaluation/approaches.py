@@ -22,6 +22,7 @@ from insdvl.tuner.features.bands import NEAR
 from insdvl.tuner.features.closed_form import degree_5
 from insdvl.tuner.models import Model, ModelError, load_model
 from insdvl.tuner.offline import Estimator
+from insdvl.tuner.own import OwnEstimator
 
 #: Parameters of the filter by preset: `calibrated` is this project's filter; `paper` is the
 #: published one, which uses variances as densities and bias walks of density 0.001;
@@ -76,6 +77,8 @@ _LITERAL = {f"adaptive xi={xi} literal": xi for xi in (1, 5)}
 _FLOORED = {f"adaptive xi={xi} floored": xi for xi in (1, 5)}
 BEST_XI = "adaptive best xi"
 VARIATIONAL = "adaptive variational"
+#: Sage and Husa, by the forms of the filter.
+SAGE_HUSA = {"adaptive sage-husa Q": "sage_husa", "adaptive sage-husa Q and R": "sage_husa_r"}
 
 #: All rows, in the order of the tables.
 ROWS = (
@@ -85,6 +88,7 @@ ROWS = (
     *_FLOORED,
     BEST_XI,
     VARIATIONAL,
+    *SAGE_HUSA,
     "dnn",
     "dnn default",
     "hcf paper",
@@ -100,19 +104,24 @@ ROWS = (
     ZERO_VELOCITY,
     PERFECT_HEADING,
 )
-#: Rows that differ in the noise of the DVL alone, by its source; they are told the effective Q.
+#: Rows that differ in the noise of the DVL alone, by its source; they are told the effective Q, but
+#: for the one whose Q and R are both learned.
 R_NOMINAL, R_ORACLE = "R nominal", "R oracle"
+BANDS_WITH_R = "bands with R adaptive"
 R_SOURCES = {
     R_NOMINAL: "nominal",
     "R adaptive": "adaptive",
     "R learned": "learned",
     R_ORACLE: "nominal",
+    BANDS_WITH_R: "adaptive",
 }
 #: Rows that need no filter of their own: they follow from the truth and the result of the oracle.
 FLOORS = (ZERO_VELOCITY, PERFECT_HEADING)
 
 #: Prefix of the row of a model that does not ship; the path of the model follows.
 OWN_MODEL = "model "
+#: Prefix of the row of an estimator of your own; its name follows.
+OWN_ESTIMATOR = "estimator "
 
 #: Samples in the window of the closed forms.
 WINDOW = 200
@@ -207,7 +216,8 @@ def approach(name: str, setting: Setting) -> Approach:
         parameters = setting.filter(source="oracle")
         dvl = replace(parameters.dvl, noise_source=R_SOURCES[name])
         parameters = replace(parameters, dvl=dvl)
-        return Approach(name, parameters, ORACLE, name == R_ORACLE, setting.q_factor)
+        source = BANDS if name == BANDS_WITH_R else ORACLE
+        return Approach(name, parameters, source, name == R_ORACLE, setting.q_factor)
     source = "oracle" if name == ORACLE else "external"
     return Approach(name, setting.filter(source=source), name, told_r=name == ORACLE)
 
@@ -228,6 +238,7 @@ _STEPS = tuple(10.0 ** (step / 3.0) for step in range(-1, 2))
 _W_DECADES_DRAWN = (1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5)
 _XI_GRID = (1, 2, 5, 10, 20, 50)
 _TAU_GRID = (1.0, 3.0, 10.0, 30.0)
+_FORGETTING_GRID = (0.95, 0.98, 0.99, 0.998)
 
 
 def constants(
@@ -251,8 +262,8 @@ def nominal(approach: Approach) -> tuple[float, float]:
 def adaptives(setting: Setting, best: tuple[float, float]) -> dict[str, tuple[Approach, ...]]:
     """Candidates for the best innovation-adaptive filters, by row.
 
-    Each window and prior is tried with two nominal Q: the first published constant and the best
-    constant.
+    Each window, prior and forgetting factor is tried with two nominal Q: the first published
+    constant and the best constant.
 
     Args:
         setting: Setting of the table.
@@ -271,14 +282,26 @@ def adaptives(setting: Setting, best: tuple[float, float]) -> dict[str, tuple[Ap
         )
         for (f, w), tau in product((FIRST, best), _TAU_GRID)
     )
-    return {BEST_XI: xi, VARIATIONAL: tau}
+    sage_husa = {
+        row: tuple(
+            Approach(
+                f"b={b:g}, nominal {f:.3g}/{w:.3g}",
+                setting.filter(
+                    (f, w), source="adaptive", adaptive_form=form, adaptive_forgetting=b
+                ),
+            )
+            for (f, w), b in product((FIRST, best), _FORGETTING_GRID)
+        )
+        for row, form in SAGE_HUSA.items()
+    }
+    return {BEST_XI: xi, VARIATIONAL: tau, **sage_husa}
 
 
 def model_of(row: str) -> str | None:
     """Name or path of the model of a row; None where the row has none."""
     if row.startswith(OWN_MODEL):
         return row.removeprefix(OWN_MODEL)
-    return BANDS if row == BANDS else LEARNED.get(row)
+    return BANDS if row in (BANDS, BANDS_WITH_R) else LEARNED.get(row)
 
 
 @cache
@@ -304,10 +327,24 @@ def unavailable(rows: Sequence[str]) -> dict[str, str]:
 
 
 def fingerprint(rows: Sequence[str]) -> dict[str, str]:
-    """SHA-256 of the model of each row that has one."""
+    """SHA-256 of the model, or of the file of the estimator, of each row that has one."""
     missing = unavailable(rows)
     models = {row: model(row) for row in rows if row not in missing}
-    return {row: found.card["sha256"] for row, found in models.items() if found is not None}
+    found = {row: one.card["sha256"] for row, one in models.items() if one is not None}
+    own = {row: own_estimator(row) for row in rows}
+    return found | {row: one.fingerprint for row, one in own.items() if one is not None}
+
+
+@cache
+def own_estimator(row: str) -> OwnEstimator | None:
+    """The estimator of your own of a row, tried once; None where the row has none.
+
+    Raises:
+        EstimatorError: It cannot be used.
+    """
+    if not row.startswith(OWN_ESTIMATOR):
+        return None
+    return OwnEstimator(row.removeprefix(OWN_ESTIMATOR))
 
 
 def estimator(row: str) -> tuple[Estimator, int, int]:

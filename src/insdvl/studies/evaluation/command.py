@@ -15,6 +15,7 @@ from insdvl.simulation.trajectories import AUV
 from insdvl.studies.arguments.evaluation import ERROR_STATES
 from insdvl.studies.evaluation import comparison, tables
 from insdvl.studies.evaluation.approaches import (
+    OWN_ESTIMATOR,
     OWN_MODEL,
     PRESETS,
     R_SOURCES,
@@ -26,6 +27,7 @@ from insdvl.studies.evaluation.approaches import (
 from insdvl.studies.evaluation.comparison import Plan, compare
 from insdvl.studies.evaluation.options import check_names, check_numbers
 from insdvl.tuner.models import load_model
+from insdvl.tuner.own import OwnEstimator
 
 EVALUATED = (*SCENARIOS, *DRAWN)
 #: Of the options that are numbers of the rows of R.
@@ -92,6 +94,9 @@ def _plan(arguments: argparse.Namespace) -> Plan:
     if arguments.model is not None:
         load_model(arguments.model)
         rows += (f"{OWN_MODEL}{arguments.model}",)
+    if arguments.estimator is not None:
+        OwnEstimator(arguments.estimator)
+        rows += (f"{OWN_ESTIMATOR}{arguments.estimator}",)
     return Plan(
         scenario=arguments.scenario,
         setting=Setting(

@@ -21,6 +21,7 @@ from insdvl.studies.evaluation.approaches import (
     R_NOMINAL,
     R_ORACLE,
     ROWS,
+    SAGE_HUSA,
     VARIATIONAL,
     Approach,
     Setting,
@@ -39,7 +40,7 @@ MIN_RUNS = 2  # fewer runs give no interval
 _BOOTSTRAP = 2003  # key of the random stream
 RATIO_METRICS = ("body_rmse", "srmse")
 NEES = ("velocity", "attitude", "velocity_attitude", "bias", "position")
-_SEARCHED = (BEST_CONSTANT, BEST_CONSTANT_SRMSE, BEST_XI, VARIATIONAL)
+_SEARCHED = (BEST_CONSTANT, BEST_CONSTANT_SRMSE, BEST_XI, VARIATIONAL, *SAGE_HUSA)
 
 
 @dataclass(frozen=True)

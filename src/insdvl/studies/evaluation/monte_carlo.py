@@ -26,7 +26,13 @@ from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import SCENARIOS, ProfileFactory, segments
 from insdvl.simulation.sensors.dvl import DvlModel
 from insdvl.simulation.trajectories import AUV
-from insdvl.studies.evaluation.approaches import ORACLE, TAUGHT, Approach, estimator
+from insdvl.studies.evaluation.approaches import (
+    ORACLE,
+    TAUGHT,
+    Approach,
+    estimator,
+    own_estimator,
+)
 from insdvl.studies.evaluation.metrics import (
     Track,
     attitude_error,
@@ -39,7 +45,7 @@ from insdvl.studies.evaluation.metrics import (
 from insdvl.studies.evaluation.taught import lessons_of, taught_model
 from insdvl.timeline.output import FoldResult
 from insdvl.timeline.recorded import fold_arrays
-from insdvl.tuner.offline import Estimator, tuned
+from insdvl.tuner.offline import Estimator, tuned, tuned_by_own
 
 #: Splits: first keys of the random streams.
 TEST, TUNING = 2000, 2001
@@ -80,7 +86,7 @@ SERIES = ("body_velocity", "body_velocity_variance", "heading", "heading_varianc
 OUTLIER = 1.0  # m/s
 FAILURE_SPEED = 5.0  # m/s; a larger body velocity error for FAILURE_TIME is a failure
 FAILURE_TIME = 10.0  # s
-RATE, MAX_GAP = 1.0, 0.1  # Hz, s; defaults of the tuner
+RATE, MAX_GAP_NS = 1.0, NS // 10  # Hz, ns; defaults of the tuner
 _NEES_RATE = 4  # Hz; at and between the updates
 
 
@@ -201,8 +207,12 @@ class Run:
             rate: Of the tuner [Hz].
         """
         m = self.mission
-        samples = np.hstack([m.f_b, m.w_ib_b])
-        return tuned(m.stamps_ns, samples, estimate, window, rate, round(MAX_GAP * NS), history)
+        return tuned(m.stamps_ns, self._samples, estimate, window, rate, MAX_GAP_NS, history)
+
+    @property
+    def _samples(self) -> Array:
+        """(N, 6)."""
+        return np.hstack([self.mission.f_b, self.mission.w_ib_b])
 
     def _variances(self, approach: Approach) -> tuple[Stamps, Array]:
         source = approach.q_source
@@ -220,6 +230,9 @@ class Run:
                 )
             )
             return self.learned(model.variances, model.window, model.history, RATE)
+        own = own_estimator(source)
+        if own is not None:
+            return tuned_by_own(self.mission.stamps_ns, self._samples, own, RATE, MAX_GAP_NS)
         return self.learned(*estimator(source), RATE)
 
 

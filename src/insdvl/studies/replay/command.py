@@ -197,6 +197,11 @@ def _configured(arguments: argparse.Namespace, further: str = "") -> Configurati
         "insdvl_tuner": TunerParameters,
         "insdvl_replay": ReplayParameters,
     }
+    if arguments.estimator is not None:
+        rules += [
+            f"insdvl_tuner:estimator={arguments.estimator}",
+            "insdvl_filter:process_noise.source=external",
+        ]
     faults: list[str] = []
     told = settings(rules, groups, faults)
     files = read_files(paths)
@@ -232,6 +237,11 @@ def _with_process_noise(
     if source != "external":
         return recording, source
     if PROCESS_NOISE in recording.topics:
+        if tuner.estimator:
+            raise ParameterError(
+                f"the recording has {PROCESS_NOISE} already, beside that of the estimator "
+                f"{tuner.estimator!r}"
+            )
         return recording, "external, recorded"
     if not tuner.enabled:
         raise ParameterError(
@@ -243,7 +253,7 @@ def _with_process_noise(
             f"parameter 'rate' of insdvl_tuner must be at least {1 / filter_.q_timeout:g} "
             f"Hz, got {tuner.rate!r}: q_timeout of insdvl_filter is {filter_.q_timeout:g} s"
         )
-    return Learned(recording, tuner), f"external, learned by {tuner.model}"
+    return Learned(recording, tuner), f"external, learned by {tuner.estimator or tuner.model}"
 
 
 def _check_places(arguments: argparse.Namespace) -> Path | None:

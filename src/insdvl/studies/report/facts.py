@@ -39,7 +39,12 @@ def changed_parameters(*groups: FilterParameters | TunerParameters) -> dict[str,
 
 
 def card_of(parameters: TunerParameters) -> dict[str, Any] | None:
-    """The card of the tuner's model, as far as it tells one model from another."""
+    """The card of the tuner's model, as far as it tells one model from another.
+
+    None where there is none: an estimator of your own has no card.
+    """
+    if parameters.estimator:
+        return None
     try:
         card = load_model(parameters.model).card
     except ModelError:

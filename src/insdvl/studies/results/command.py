@@ -18,13 +18,21 @@ from insdvl.jobs.store import Store, environment
 from insdvl.simulation.noise import SCENARIOS
 from insdvl.studies.evaluation import comparison
 from insdvl.studies.evaluation.approaches import (
+    BANDS,
     BEST_CONSTANT,
     CLOSED_FORM,
     FIRST_CONSTANT,
     LEARNED,
+    LEAST_BAND,
+    MEDIAN_OF_SPECTRUM,
     ORACLE,
+    ROWS,
+    SAGE_HUSA,
+    SINGLE_BAND,
+    VARIATIONAL,
     Setting,
     fingerprint,
+    model_of,
 )
 from insdvl.studies.evaluation.comparison import Plan, compare
 from insdvl.studies.evaluation.options import check_names, check_numbers
@@ -34,6 +42,11 @@ from insdvl.tuner.models import load_model
 
 #: Rows of the tables that show what an error state or the gate changes.
 _FEW = (FIRST_CONSTANT, "hcf default", BEST_CONSTANT, CLOSED_FORM, ORACLE)
+#: Rows of the tables on noise that is not white.
+_OF_SPECTRUM = (
+    *(BANDS, CLOSED_FORM, SINGLE_BAND, LEAST_BAND, MEDIAN_OF_SPECTRUM),
+    *(VARIATIONAL, *SAGE_HUSA, BEST_CONSTANT, ORACLE),
+)
 #: Rows of the plots over time.
 _DRAWN = (FIRST_CONSTANT, BEST_CONSTANT, "hcf default", ORACLE)
 
@@ -47,7 +60,15 @@ PLANS: Mapping[str, Plan] = {
     "constant-paper-no-walk": Plan("constant", Setting("paper-no-walk"), rows=_FEW),
     "varying-ned": Plan("varying", Setting("calibrated", error_state="ned"), rows=_FEW),
     "varying-gate": Plan("varying", Setting("calibrated", gate=True), rows=_FEW),
+    **{
+        f"{scenario}-spectrum": Plan(
+            scenario, Setting("calibrated"), rows=tuple(row for row in ROWS if row in _OF_SPECTRUM)
+        )
+        for scenario in page.SPECTRUM
+    },
 }
+#: Rows with a model of the studies on recordings.
+_ON_RECORDINGS = ("hcf paper", "hcf default", BANDS)
 ACCURACY, WINDOW, VEHICLE, WITHHELD = "q-accuracy", "window", "vehicle", "withheld"
 PARTS = (ACCURACY, *PLANS, WINDOW, VEHICLE, WITHHELD)
 _OF_RECORDINGS = (VEHICLE, WITHHELD)
@@ -98,7 +119,7 @@ def _parts(arguments: argparse.Namespace) -> list[str]:
 def _compute(part: str, arguments: argparse.Namespace, folder: Path, pool: Pool) -> Store:
     """Compute a part and write its numbers and plots; its store is not cleared."""
     seed, work = arguments.seed, folder / f".{part}.work"
-    models = fingerprint(tuple(LEARNED))
+    models = fingerprint((*LEARNED, BANDS))
     if part in PLANS:
         plan = replace(
             PLANS[part],
@@ -111,11 +132,12 @@ def _compute(part: str, arguments: argparse.Namespace, folder: Path, pool: Pool)
         compared = compare(plan, pool, store)
         document = compared.document
         drawn = {row: compared.series[row] for row in _DRAWN if row in compared.series}
-        draw_errors_over_time(folder / f"{part}.png", part, drawn)
+        if not part.endswith("-spectrum"):  # vehicles differ: a mean over them says little
+            draw_errors_over_time(folder / f"{part}.png", part, drawn)
     elif part in _OF_RECORDINGS:
         settings = recordings.Settings.load(arguments.config)
         recorded = recordings.load_all(arguments.recordings, settings)
-        learned = {row: load_model(LEARNED[row]) for row in ("hcf paper", "hcf default")}
+        learned = {row: load_model(str(model_of(row))) for row in _ON_RECORDINGS}
         source = Path((vehicle if part == VEHICLE else withheld).__file__)
         fingerprint_ = recordings.fingerprint(recorded, settings, learned)
         store = Store(work, {"seed": seed, **fingerprint_}, source)

@@ -12,12 +12,20 @@ from insdvl.simulation.noise import SCENARIO_TEXTS, SCENARIOS
 from insdvl.studies.evaluation.tables import comparison_tables
 from insdvl.studies.report.markdown import interval, number
 from insdvl.studies.results.accuracy import accuracy_tables
-from insdvl.studies.results.targets import Documents, row, targets_table
+from insdvl.studies.results.targets import (
+    OF_SPECTRUM,
+    TARGETS,
+    Documents,
+    row,
+    targets_table,
+)
 from insdvl.studies.results.vehicle_tables import vehicle_tables
 from insdvl.studies.results.window import window_tables
 from insdvl.studies.results.withheld import withheld_tables
 
 _NO_WALK = "constant-paper-no-walk"
+#: The scenarios of the page on noise that is not white, the white ones last.
+SPECTRUM = ("vibrating", "coloured", "waves", "realistic", "varying", "wide")
 
 
 def pages(documents: Documents) -> dict[str, str]:
@@ -50,7 +58,7 @@ def _targets(documents: Documents) -> str:
     return (
         "# Targets\n\nThe targets were set before the measurements. A ratio meets its target when "
         "the upper end of its\ninterval does. *Learned* is the model `default`.\n\n"
-        + targets_table(documents)
+        + targets_table(documents, TARGETS)
     )
 
 
@@ -144,6 +152,27 @@ def _gain(document: Mapping[str, Any], scenario: str) -> str:
     return (
         f"`{scenario}`: {'; '.join(sentences)}. Learned / closed form: body velocity "
         f"{interval(closed['body_rmse'], 4)}, SRMSE {interval(closed['srmse'], 4)}."
+    )
+
+
+def _spectrum(documents: Documents) -> str:
+    return _section(
+        "Noise that is not white",
+        """
+The filter of this project on vehicles that vibrate, pitch in waves or have coloured noise
+([effective-noise.md](../explanation/effective-noise.md#8-scenarios)), and in two scenarios of white
+noise. `bands` is the model that was learned from the spectra of simulated vehicles
+([learned-bands.md](../explanation/learned-bands.md)), `single band`, `least band` and `median of
+spectrum` are closed forms of the same spectra, `closed form` is the variance around a polynomial.
+*Adaptive* filters use the innovations: by variational Bayes, and by the recursions of Sage and Husa
+for Q, or for Q and R ([filter.md](../explanation/filter.md)). The oracle receives the effective
+variances.
+""",
+        [
+            "## Targets\n\nSet before the measurement. The upper end of an interval has to meet "
+            "them.\n\n" + targets_table(documents, OF_SPECTRUM),
+            *(_comparison(documents, f"{name}-spectrum", f"`{name}`") for name in SPECTRUM),
+        ],
     )
 
 
@@ -242,6 +271,7 @@ _PAGES: Mapping[str, Callable[[Documents], str]] = {
     "targets": _targets,
     "variance": _accuracy,
     "calibrated": _calibrated,
+    "spectrum": _spectrum,
     "published": _published,
     "error-state-and-gate": _error_state_and_gate,
     "window": _window,

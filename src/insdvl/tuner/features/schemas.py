@@ -41,7 +41,8 @@ class Schema:
     Attributes:
         names: Names of the F features, in order; empty where they are the window's N samples.
         extract: Maps windows (M, N) to features (M, F) and scales (M,), which are variances in the
-            square of the window's unit, or ones where the output is absolute.
+            square of the window's unit, or ones where the output is absolute. Some schemas need
+            the six channels of an IMU in each six rows.
         relative: Whether the output is log(q / scale); otherwise it is q.
         min_samples: Smallest number of samples of a window.
         history: Largest number of samples that an estimate uses, where it is not the window.

@@ -7,6 +7,7 @@ from insdvl.messages.topics import IMU, PROCESS_NOISE
 from insdvl.recordings.base import Raw, decode, encode
 from insdvl.recordings.messages import imu_message
 from insdvl.recordings.played import Recording
+from insdvl.tuner.own import EstimatorError
 from insdvl.tuner.parameters import TunerParameters
 from insdvl.tuner.republish import set_learned, tune
 from insdvl.tuner.tuner import Tuner
@@ -46,12 +47,18 @@ class Learned(Recording):
 
 
 def _learned(raw: Raw, tuner: Tuner) -> Raw | None:
-    """What the tuner publishes on a sample, if anything."""
+    """What the tuner publishes on a sample, if anything.
+
+    Raises:
+        EstimatorError: An estimator of your own failed.
+    """
     message = decode(raw).message
     try:
         tuned = tune(tuner, message)
     except RejectedMessage:  # counted where the recording is folded
         return None
+    if tuner.failure:
+        raise EstimatorError(tuner.failure)
     if tuned is None:
         return None
     f = vector(message.linear_acceleration, "linear_acceleration")
