@@ -87,11 +87,7 @@ def _filter(seen: Inspection) -> Iterator[Line]:
     yield Line("imu.mount", p.imu.mount, f"{CHECK}: roll, pitch, yaw, rad")
     yield Line("dvl.mount", p.dvl.mount, f"{CHECK}: roll, pitch, yaw, rad")
     yield Line("dvl.lever_arm", p.dvl.lever_arm, f"{CHECK}: position in base_link, m")
-    if dvl.scatter is None or not dvl.scatter.any():
-        yield Line("dvl.noise_std", p.dvl.noise_std, f"{CHECK}: m/s, by its data sheet")
-    else:
-        sigma = max(float(f"{np.sqrt(np.mean(dvl.scatter**2)):.2g}"), _LEAST_SCATTER)
-        yield Line("dvl.noise_std", (sigma,) * 3, "m/s, by their scatter")
+    yield _dvl_noise(seen)
     yield Line("initial.mode", p.initial.mode, "assumes nothing")
     told = "the IMU tells it" if orientation.is_told else f"{CHECK}: no sensor tells it"
     yield Line("initial.heading", p.initial.heading, told)
@@ -113,6 +109,22 @@ def _filter(seen: Inspection) -> Iterator[Line]:
 
 #: The resolution of a DVL's numbers [m/s]: that of a simulator may have no noise.
 _LEAST_SCATTER = 1e-3
+
+
+def _dvl_noise(seen: Inspection) -> Line:
+    """What the pings show beside the motion that the IMU tells, else their scatter with the motion.
+
+    Errors that last are in neither, so it is at least dvl.noise_floor.
+    """
+    name, told, scatter = "dvl.noise_std", seen.parameters.dvl, seen.dvl and seen.dvl.scatter
+    if seen.ping_noise is not None:
+        shown, by = seen.ping_noise[0], "from ping to ping"
+    elif scatter is not None and scatter.any():
+        shown, by = float(np.sqrt(np.mean(scatter**2))), "by their scatter"
+    else:
+        return Line(name, told.noise_std, f"{CHECK}: m/s, by its data sheet")
+    sigma = max(float(f"{shown:.2g}"), told.noise_floor, _LEAST_SCATTER)
+    return Line(name, (sigma,) * 3, f"m/s, {shown:.2g} {by}, and at least dvl.noise_floor")
 
 
 def _told(p: FilterParameters) -> list[float]:
