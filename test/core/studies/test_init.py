@@ -165,6 +165,25 @@ def test_the_verdict_does_not_contradict_the_noise_that_it_wrote(tmp_path: Path)
         assert "dvl_noise" not in [finding["name"] for finding in judged["findings"]]
 
 
+def test_the_parameters_are_told_as_json(
+    bag: Path, written: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "my.yaml"
+    capsys.readouterr()
+    assert cli.main(["init", str(bag), "-o", str(out), "--json", "-"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert out.read_text() == written.read_text()
+    assert (told["bag"], told["file"]) == (str(bag), str(out))
+    values = flatten(load_section(out, "insdvl_filter", FilterParameters))
+    of_filter = told["parameters"]["insdvl_filter"]
+    assert {name: line["value"] for name, line in of_filter.items()} == {
+        name: list(values[name]) if isinstance(values[name], tuple) else values[name]
+        for name in of_filter
+    }
+    assert of_filter["dvl.lever_arm"]["why"].startswith(CHECK)
+    assert told["parameters"]["insdvl_replay"]["imu_topic"]["value"] == "/imu"
+
+
 def test_what_is_set_stands_in_the_file(tmp_path: Path) -> None:
     save(tmp_path / "dive", raws_of(flown(12.0)))
     out = tmp_path / "my.yaml"

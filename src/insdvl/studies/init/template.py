@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,16 +35,12 @@ class Line(NamedTuple):
     why: str
 
 
-def parameter_file(
-    name: str,
-    seen: Inspection,
-    found: Sequence[Finding],
-    told: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
-) -> str:
-    """The file.
+def parameter_lines(
+    seen: Inspection, found: Sequence[Finding], told: Mapping[str, Mapping[str, Any]]
+) -> dict[str, list[Line]]:
+    """The parameters, by node.
 
     Args:
-        name: Of the recording.
         seen: What was seen of it, usable.
         found: What is said of it.
         told: Parameters that are set, by node.
@@ -60,11 +55,18 @@ def parameter_file(
             if key.endswith("mount"):
                 why += f"; at right angles it were {yaml_value(right_angles(value))}"
             lines[key] = Line(key, value, why)
-    text = _HEADER.format(name=name)
-    for node, rows in ((FILTER, lines), (REPLAY, {line.name: line for line in _replay(seen)})):
+    by_node = {FILTER: lines, REPLAY: {line.name: line for line in _replay(seen)}}
+    for node, rows in by_node.items():
         rows |= {key: Line(key, value, "as set") for key, value in told.get(node, {}).items()}
+    return {node: list(rows.values()) for node, rows in by_node.items()}
+
+
+def parameter_file(name: str, lines: Mapping[str, Sequence[Line]]) -> str:
+    """The file, of a recording of this name."""
+    text = _HEADER.format(name=name)
+    for node, of_node in lines.items():
         text += f"/**/{node}:\n  ros__parameters:\n"
-        for line in rows.values():
+        for line in of_node:
             text += f"    {f'{line.name}: {yaml_value(line.value)}':42}  # {line.why}\n"
     return text
 
