@@ -138,9 +138,9 @@ def test_a_simulator_without_noise_gives_parameters_that_a_filter_takes(tmp_path
 
 @pytest.mark.long
 def test_the_verdict_does_not_contradict_the_noise_that_it_wrote(tmp_path: Path) -> None:
-    """Of a DVL with 3 mm/s from ping to ping, and an error of 1 cm/s that lasts for 20 s."""
+    """Of a DVL with 3 mm/s from ping to ping, and as much that lasts for 20 s."""
     grade = GRADES["tactical"]
-    dvl = DvlModel(rate=5.0, noise_std=(0.003,) * 3, bias_std=0.01, bias_time_constant=20.0)
+    dvl = DvlModel(rate=5.0, noise_std=(0.003,) * 3, bias_std=0.003, bias_time_constant=20.0)
     variances = constant(grade.variances())
     trajectory = replace(BASELINE["lawn_mower"], speed=Channel(1.6, waves=(Wave(0.3, 11.0),)))
     for seed in (1, 2):

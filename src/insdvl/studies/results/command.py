@@ -35,7 +35,6 @@ from insdvl.studies.evaluation.approaches import (
     model_of,
 )
 from insdvl.studies.evaluation.comparison import Plan, compare
-from insdvl.studies.evaluation.options import check_names, check_numbers
 from insdvl.studies.report.plots import draw_errors_over_time
 from insdvl.studies.results import accuracy, forest, page, recordings, vehicle, window, withheld
 from insdvl.tuner.models import load_model
@@ -104,15 +103,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _parts(arguments: argparse.Namespace) -> list[str]:
     """The requested parts, in their order."""
-    check_numbers(arguments)
     recorded = arguments.recordings is not None and arguments.config is not None
     if arguments.parts is None:
         return [part for part in PARTS if part not in _OF_RECORDINGS or recorded]
     asked = [] if arguments.parts == "none" else arguments.parts.split(",")
-    check_names("--parts", asked, PARTS)
-    for part in _OF_RECORDINGS:
-        if part in asked and not recorded:
-            raise ValueError(f"--parts {part} needs --recordings and --config")
     return [part for part in PARTS if part in asked]
 
 
