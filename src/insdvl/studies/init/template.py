@@ -118,7 +118,8 @@ def _dvl_noise(seen: Inspection) -> Line:
 
     Errors that last are in neither, so it is at least dvl.noise_floor.
     """
-    name, told, scatter = "dvl.noise_std", seen.parameters.dvl, seen.dvl and seen.dvl.scatter
+    name, told = "dvl.noise_std", seen.parameters.dvl
+    scatter = seen.dvl.scatter if seen.dvl is not None else None
     if seen.ping_noise is not None:
         shown, by = seen.ping_noise[0], "from ping to ping"
     elif scatter is not None and scatter.any():

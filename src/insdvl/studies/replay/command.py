@@ -15,7 +15,7 @@ from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import ParameterError, flatten
 from insdvl.parameters.files import ParameterFile
 from insdvl.parameters.files import read as read_files
-from insdvl.parameters.sections import full_name, nothing_for, reaches, warnings
+from insdvl.parameters.sections import Loaded, full_name, nothing_for, reaches, warnings
 from insdvl.parameters.settings import load_set, settings
 from insdvl.recordings.base import BagError
 from insdvl.recordings.parameters import ReplayParameters
@@ -202,7 +202,7 @@ def _configured(arguments: argparse.Namespace, further: str = "") -> Configurati
     told = settings(rules, groups, faults)
     files = read_files(paths)
     names = [_full_name(arguments.namespace, files, node) for node in groups]
-    loaded = []
+    loaded: list[Loaded[Any]] = []
     for name, (node, group) in zip(names, groups.items(), strict=True):
         try:
             loaded.append(load_set(files, name, group, told[node]))

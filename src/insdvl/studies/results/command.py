@@ -132,7 +132,7 @@ def _compute(part: str, arguments: argparse.Namespace, folder: Path, pool: Pool)
         settings = recordings.Settings.load(arguments.config)
         recorded = recordings.load_all(arguments.recordings, settings)
         learned = {row: load_model(str(model_of(row))) for row in _ON_RECORDINGS}
-        source = Path((vehicle if part == VEHICLE else withheld).__file__)
+        source = Path(vehicle.__file__ if part == VEHICLE else withheld.__file__)
         fingerprint_ = recordings.fingerprint(recorded, settings, learned)
         store = Store(work, {"seed": seed, **fingerprint_}, source)
         if part == WITHHELD:
