@@ -8,7 +8,7 @@ import argparse
 import difflib
 import sys
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pkgutil import resolve_name
 from types import MappingProxyType
@@ -162,6 +162,26 @@ def nearest(name: str, known: Iterable[str]) -> str:
     """``; did you mean X?`` where one of the known names is near, else an empty text."""
     near = difflib.get_close_matches(name, list(known), n=1)
     return f"; did you mean {near[0]}?" if near else ""
+
+
+class Names(tuple[str, ...]):
+    """The names that an option knows, as its choices: a help and a completion list them.
+
+    The parser takes any name: `unknown_names` tells a wrong one beside what else is wrong.
+    """
+
+    __slots__ = ()
+
+    def __contains__(self, name: object) -> bool:
+        return True
+
+
+def unknown_names(option: str, names: Iterable[str], known: Sequence[str]) -> Iterator[str]:
+    """A sentence for each name that is not among the known ones, with the nearest of them."""
+    for name in names:
+        if name not in known:
+            near = nearest(name, known)
+            yield f"{option}: unknown name {name!r}{near}; known are {', '.join(known)}"
 
 
 class Parser(argparse.ArgumentParser):

@@ -46,6 +46,7 @@ def loaded(calls: list[list[str]], folder: Path) -> set[str]:
 def test_helps_and_wrong_calls_load_nothing_heavy(tmp_path: Path) -> None:
     calls = [[], ["--help"], ["--version"], ["fly"], *([name, "--help"] for name in COMMANDS)]
     calls += [[name, "--no-such-option"] for name in COMMANDS] + [["replay"], ["train", "--seed"]]
+    calls += [[name, *call.split()] for name, (call, _) in WRONG_CALLS.items()]
     found = loaded(calls, tmp_path)
     assert found & HEAVY == set()
     assert {"insdvl", "argparse"} <= found
@@ -111,6 +112,68 @@ def test_all_wrong_options_are_told_with_the_nearest(capsys: pytest.CaptureFixtu
     assert "required: BAG, -o" in capsys.readouterr().err
 
 
+WRONG_CALLS = {
+    "evaluate": (
+        "--scenario vary --preset calibratd --rows orcle,hcf,bands --runs 1 --seed -1 --dvl-std 0 "
+        "--duration 5 --jobs 0 --json no/x.json",
+        [
+            "--scenario: unknown name 'vary'; did you mean varying?; known are constant, ",
+            "--preset: unknown name 'calibratd'; did you mean calibrated?; known are calibrated, ",
+            "--rows: unknown name 'orcle'; did you mean oracle?; known are constant 0.01/0.001, ",
+            "--rows: unknown name 'hcf'; known are constant 0.01/0.001, ",
+            "--runs must be >= 2, got 1",
+            "--seed must be >= 0, got -1",
+            "--dvl-std must be within 0.001 to 10 m/s, got 0",
+            "--duration must be within 10 to 330 s, got 5",
+            "--jobs must be >= 1, got 0",
+        ],
+    ),
+    "train": (
+        "--preset defalt --window 1 --seed -1 --quick --scheduler host:1",
+        [
+            "--preset: unknown name 'defalt'; did you mean default?; known are bands, default, ",
+            "--scheduler host:1 needs --backend dask, got loky",
+            "--seed must be within 0 to 4294967295, got -1",
+            "--window must be within 10 to 2000, got 1",
+            "--quick is for --preset bands, got --preset defalt",
+        ],
+    ),
+    "results": (
+        "--parts windw,vehicle --runs 1 --tuning-runs 0 --jobs 0",
+        [
+            "--parts: unknown name 'windw'; did you mean window?; known are q-accuracy, ",
+            "--parts vehicle needs --recordings and --config",
+            "--runs must be >= 2, got 1",
+            "--tuning-runs must be >= 2, got 0",
+            "--jobs must be >= 1, got 0",
+        ],
+    ),
+    "consistency": (
+        "--studies blcks,heading --runs 1 --seed -3 --jobs -1",
+        [
+            "--studies: unknown name 'blcks'; did you mean blocks?; known are blocks, position, ",
+            "--runs must be >= 2, got 1",
+            "--seed must be >= 0, got -3",
+            "--jobs must be >= 1, got -1",
+        ],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WRONG_CALLS)
+def test_all_wrong_values_of_a_study_are_told_together(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    call, expected = WRONG_CALLS[name]
+    assert cli.main([name, *call.split()]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == len(expected)
+    for line, text in zip(lines, expected, strict=True):
+        assert line.startswith(f"insdvl {name}: {text}")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_an_interruption_ends_with_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -146,6 +209,8 @@ def test_names_in_arguments_are_those_of_the_modules() -> None:
     assert (*noise.SCENARIOS, *DRAWN) == of_evaluation.SCENARIOS
     assert tuple(approaches.PRESETS) == of_evaluation.PRESETS
     assert of_evaluation.ROWS == approaches.ROWS
+    assert of_evaluation.TAUGHT == approaches.TAUGHT
+    assert tuple(approaches.R_SOURCES) == of_evaluation.R_ROWS
     assert AUV.duration == of_evaluation.DURATION
     assert of_results.PARTS == PARTS
     assert tuple(PRESETS) == of_training.PRESETS

@@ -2,17 +2,16 @@
 
 import argparse
 from dataclasses import dataclass, field
-from importlib.util import find_spec
 
 from insdvl.extras import extra
-from insdvl.jobs.arguments import BACKENDS
+from insdvl.jobs.arguments import contradictions, worker_faults
 
 with extra("jobs"):
     import joblib
 
 
 class WorkersError(ValueError):
-    """The requested workers are not available; the message is one sentence."""
+    """The requested workers are not available; the message has a line for each fault."""
 
 
 @dataclass(frozen=True)
@@ -20,9 +19,9 @@ class Workers:
     """Where tasks run.
 
     Attributes:
-        backend: One of BACKENDS. ``loky`` is this process for one job, else worker processes of
-            joblib; ``threads`` are those of this process; ``dask`` is an existing cluster, or else
-            one that is started on this machine.
+        backend: One of `BACKENDS` of the options. ``loky`` is this process for one job, else worker
+            processes of joblib; ``threads`` are those of this process; ``dask`` is an existing
+            cluster, or else one that is started on this machine.
         jobs: Number of tasks at the same time; all cores by default. Not used with an existing
             cluster.
         scheduler: Address of an existing Dask cluster, such as ``tcp://host:8786``.
@@ -36,18 +35,8 @@ class Workers:
     scheduler: str | None = None
 
     def __post_init__(self) -> None:
-        if self.backend not in BACKENDS:
-            raise WorkersError(
-                f"--backend must be one of {', '.join(BACKENDS)}, got {self.backend!r}"
-            )
-        if self.jobs < 1:
-            raise WorkersError(f"--jobs must be >= 1, got {self.jobs}")
-        if self.scheduler is not None and self.backend != "dask":
-            raise WorkersError(
-                f"--scheduler {self.scheduler} needs --backend dask, got {self.backend}"
-            )
-        if self.backend == "dask" and find_spec("distributed") is None:
-            raise WorkersError("--backend dask needs the optional packages: install insdvl[dask]")
+        if faults := list(contradictions(self.backend, self.jobs, self.scheduler)):
+            raise WorkersError("\n".join(faults))
 
 
 def workers_from(arguments: argparse.Namespace) -> Workers:
@@ -56,11 +45,8 @@ def workers_from(arguments: argparse.Namespace) -> Workers:
     Raises:
         WorkersError: The options contradict each other or are out of range.
     """
+    if faults := list(worker_faults(arguments)):
+        raise WorkersError("\n".join(faults))
     if arguments.jobs is None:
         return Workers(backend=arguments.backend, scheduler=arguments.scheduler)
-    if arguments.scheduler is not None:
-        raise WorkersError(
-            f"--jobs {arguments.jobs} cannot be used with --scheduler: the cluster sets the number "
-            "of its workers"
-        )
     return Workers(arguments.backend, arguments.jobs)

@@ -6,7 +6,7 @@ Here a chunk is read in one loop over its bytes, and sorted only where its times
 
 import struct
 from bisect import bisect_left
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Generator
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -34,7 +34,7 @@ def messages(
     connections: Collection["Connection"],
     start: int | None = None,
     stop: int | None = None,
-) -> Iterator[Message]:
+) -> Generator[Message, None, None]:
     """The messages of some connections in the order of their times, as ``reader.messages``.
 
     Raises:

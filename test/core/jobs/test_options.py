@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from insdvl.jobs import options as module
+from insdvl.jobs import arguments as module
 from insdvl.jobs.arguments import add_worker_options
 from insdvl.jobs.options import Workers, WorkersError, workers_from
 
@@ -37,6 +37,16 @@ def test_options():
 def test_bad_options(options, sentence):
     with pytest.raises(WorkersError, match=sentence):
         workers_of(*options)
+
+
+def test_all_that_is_wrong_is_told() -> None:
+    with pytest.raises(WorkersError) as raised:
+        workers_of("--jobs", "0", "--scheduler", "host:1")
+    assert [line[:14] for line in str(raised.value).splitlines()] == [
+        "--jobs must be",
+        "--scheduler ho",
+        "--jobs 0 canno",
+    ]
 
 
 def test_dask_that_is_not_installed(monkeypatch):

@@ -197,6 +197,42 @@ def test_a_coarse_dvl_that_hangs_is_refused_when_chance_has_run_out() -> None:
     assert np.mean(passed) < 3.0
 
 
+def refused_along_x(speeds: np.ndarray, noise_std: float = 0.1) -> np.ndarray:
+    """(M,) which speeds (M,) of a log that measures one axis are refused as repeated."""
+    model, memory = model_of(noise_std), LAYOUT.empty()[0]["gate"]["dvl"]
+    reasons = [
+        claims.refusal(memory, model, Dvl(0, np.array([u, 0.0, 0.0]), None, (True, False, False)))
+        for u in speeds
+    ]
+    assert set(reasons) <= {"", "repeated"}
+    return np.array(reasons) == "repeated"
+
+
+def test_a_log_along_one_axis_in_whole_mm_per_s_is_used() -> None:
+    """Its two zeros are no evidence: one component repeats itself by chance, in the first as well.
+
+    Until four are known the noise is 0.1 m/s, as told, though it is 1 to 10 mm/s: chance makes a
+    second repetition once in 10,000, so a few may be refused then.
+    """
+    shares = []
+    for noise in (0.001, 0.002, 0.01):
+        for seed in range(50):
+            rng = np.random.default_rng([SEED, seed])
+            speeds = np.round(1.0 + noise * rng.standard_normal(120), 3)
+            shares.append(refused_along_x(speeds).mean())
+    assert np.mean(shares) < 0.01
+
+
+def test_a_log_along_one_axis_that_hangs_is_refused() -> None:
+    """With full digits from the first repetition on, in whole mm/s when chance has run out."""
+    speeds = 1.0 + 0.02 * np.random.default_rng(SEED).standard_normal(20)
+    held = np.concatenate([speeds, np.full(100, speeds[-1])])
+    assert refused_along_x(held).tolist() == [False] * 20 + [True] * 100
+    coarse = refused_along_x(np.round(held, 3))
+    assert not coarse[:20].any()
+    assert coarse[25:].all()
+
+
 def test_the_step_of_a_stream_is_found_in_single_precision() -> None:
     rng = np.random.default_rng(SEED)
     for step in (0.01, 1e-3, 1e-4):

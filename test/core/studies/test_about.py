@@ -40,7 +40,8 @@ def test_every_shipped_model_has_its_row(capsys: pytest.CaptureFixture[str]) -> 
             error = f"{card['metrics']['trajectory_split']['relative_rmse']:.1%}"
         assert error in rows[name]
         assert ("insdvl[onnx]" in rows[name]) == (card["kind"] == "network")
-    assert json.loads(output(capsys, "models", "--json")) == cards
+    for words in (["--json"], ["--json", "-"]):
+        assert json.loads(output(capsys, "models", *words)) == cards
 
 
 def test_a_parameter_is_found_by_its_name_and_by_its_meaning(
@@ -70,6 +71,32 @@ def test_a_word_that_no_parameter_has_is_told_with_the_nearest(
     assert cli.main(["params", "--node", "insdvl_filtr"]) == 2
     assert "did you mean insdvl_filter?" in capsys.readouterr().err
     assert any(d.name == "dvl.lever_arm" for d in declarations(FilterParameters))
+
+
+def test_parameters_are_told_as_json(capsys: pytest.CaptureFixture[str]) -> None:
+    told = json.loads(output(capsys, "params", "--json", "-"))
+    assert {node: set(of_node) for node, of_node in told.items()} == {
+        node: {d.name for d in declarations(group)} for node, group in SECTIONS.items()
+    }
+    (of_node,) = json.loads(output(capsys, "params", "dvl.max_speed", "--json", "-")).values()
+    speed = of_node["dvl.max_speed"]
+    assert (speed["default"], speed["unit"], speed["type"]) == (10.0, "m/s", "float")
+    assert speed["range"] == "> 0 and <= 1000" and "too_fast" in speed["meaning"]
+    assert output(capsys, "params", "no such word", "--json", "-", code=1) == ""
+
+
+def test_beside_a_file_of_json_the_text_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for command in (["models"], ["params", "lever_arm"], ["doctor"]):
+        file = tmp_path / f"{command[0]}.json"
+        assert output(capsys, *command, "--json", str(file)) == output(capsys, *command)
+        assert json.loads(file.read_text()) == json.loads(output(capsys, *command, "--json", "-"))
+        no_folder = tmp_path / "no" / "folder.json"
+        assert cli.main([*command, "--json", str(no_folder)]) == 2
+        told = capsys.readouterr()
+        assert told.out == ""
+        assert told.err.startswith(f"insdvl {command[0]}: --json {no_folder}: ")
 
 
 def test_citation_has_the_version(capsys: pytest.CaptureFixture[str]) -> None:
@@ -111,6 +138,9 @@ def test_faults_are_named_and_end_with_1(
     assert "INSDVL_CACHE_DIR" in wrong[2]
     assert len(wrong) == 3
     assert re.search(r"^absent +ROS 2", text, re.MULTILINE)
+    told = json.loads(output(capsys, "doctor", "--json", "-", code=1))
+    assert told["right"] is False
+    assert [r["text"] for r in told["results"] if r["mark"] == "WRONG"] == wrong
 
 
 def test_missing_packages_are_told_with_their_extra(

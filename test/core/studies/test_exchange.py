@@ -1,5 +1,6 @@
 """`insdvl import` and `insdvl export`: the page's commands, numbers, axes, units and errors."""
 
+import json
 import re
 import shlex
 from pathlib import Path
@@ -87,6 +88,35 @@ def test_every_command_of_the_page_runs(
     assert rows.shape[1] == 8 and len(rows) == len(np.loadtxt(at_desk / "track.csv", str)) - 1
     samples = np.loadtxt(at_desk / "samples.csv", delimiter=",", skiprows=1)
     np.testing.assert_allclose(samples[:, 1:4], mission.f_b @ ENU.body, atol=1e-9)
+
+
+def test_what_was_taken_and_given_is_told_as_json(
+    at_desk: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    call = "import imu.csv dvl.csv truth.csv --map map.yaml --out a --json -"
+    assert cli.main(shlex.split(call)) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["bag"] == "a"
+    imu, dvl, truth = told["files"]
+    assert (imu["file"], imu["sensor"], imu["rows"]) == ("imu.csv", "imu", 1200)
+    assert imu["rate"] == pytest.approx(100.0) and imu["duration"] == pytest.approx(11.99)
+    assert (dvl["sensor"], truth["sensor"], dvl["lines_left_out"]) == ("dvl", "truth", [])
+    call = "export a --topic /imu/data_raw -o samples.csv --json -"
+    assert cli.main(shlex.split(call)) == 0
+    assert json.loads(capsys.readouterr().out) == {
+        "bag": "a",
+        "topic": "/imu/data_raw",
+        "type": "sensor_msgs/msg/Imu",
+        "file": "samples.csv",
+        "rows": 1200,
+    }
+    assert cli.main(shlex.split("export a -o b.csv --topic /no --json -")) == 2
+    assert capsys.readouterr().out == ""
+    # A place that cannot be written is told before anything is.
+    call = "import imu.csv dvl.csv --map map.yaml --out c --json no/c.json"
+    assert cli.main(shlex.split(call)) == 2
+    assert "--json no/c.json: no is not a folder" in capsys.readouterr().err
+    assert not Path("c").exists()
 
 
 def test_axes_and_units_become_those_of_ros(at_desk: Path, mission: Mission) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,10 +21,11 @@ from insdvl.recordings.base import encode, new_message
 from insdvl.recordings.parameters import ReplayParameters
 from insdvl.simulation.grades import GRADES
 from insdvl.simulation.mission import simulate
+from insdvl.simulation.motion import Channel, Wave
 from insdvl.simulation.noise import constant
 from insdvl.simulation.sensors.dvl import DvlModel
 from insdvl.simulation.sensors.imu import ImuModel
-from insdvl.simulation.trajectories import AUV
+from insdvl.simulation.trajectories import AUV, BASELINE
 from insdvl.studies.init.template import CHECK
 from insdvl.studies.report.parameter_page import TO_SET
 
@@ -132,6 +134,54 @@ def test_a_simulator_without_noise_gives_parameters_that_a_filter_takes(tmp_path
     assert min(parameters.dvl.noise_std) >= 1e-3
     assert min(noise.accelerometer_variance) >= noise.accelerometer_floor
     assert min(noise.gyroscope_variance) >= noise.gyroscope_floor
+
+
+@pytest.mark.long
+def test_the_verdict_does_not_contradict_the_noise_that_it_wrote(tmp_path: Path) -> None:
+    """Of a DVL with 3 mm/s from ping to ping, and as much that lasts for 20 s."""
+    grade = GRADES["tactical"]
+    dvl = DvlModel(rate=5.0, noise_std=(0.003,) * 3, bias_std=0.003, bias_time_constant=20.0)
+    variances = constant(grade.variances())
+    trajectory = replace(BASELINE["lawn_mower"], speed=Channel(1.6, waves=(Wave(0.3, 11.0),)))
+    for seed in (1, 2):
+        mission = simulate(
+            trajectory,
+            variances,
+            seed=seed,
+            duration=150.0,
+            imu=grade.imu(),
+            dvl=dvl,
+            start_ns=START_NS,
+        )
+        path, written = save(tmp_path / f"dive{seed}", raws_of(mission)), tmp_path / f"{seed}.yaml"
+        assert cli.main(["init", str(path), "-o", str(written)]) == 0
+        assert load_section(written, "insdvl_filter", FilterParameters).dvl.noise_std == (0.01,) * 3
+        assert " from ping to ping, and at least dvl.noise_floor" in written.read_text()
+        numbers = tmp_path / f"{seed}.json"
+        assert cli.main(["replay", str(path), "-c", str(written), "--json", str(numbers)]) == 0
+        judged = json.loads(numbers.read_text())["verdict"]
+        assert 0.002 < judged["dvl_noise"]["shown"] < 0.006
+        assert [f["name"] for f in judged["findings"] if f["cautious"]] == []
+        assert "dvl_noise" not in [finding["name"] for finding in judged["findings"]]
+
+
+def test_the_parameters_are_told_as_json(
+    bag: Path, written: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "my.yaml"
+    capsys.readouterr()
+    assert cli.main(["init", str(bag), "-o", str(out), "--json", "-"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert out.read_text() == written.read_text()
+    assert (told["bag"], told["file"]) == (str(bag), str(out))
+    values = flatten(load_section(out, "insdvl_filter", FilterParameters))
+    of_filter = told["parameters"]["insdvl_filter"]
+    assert {name: line["value"] for name, line in of_filter.items()} == {
+        name: list(values[name]) if isinstance(values[name], tuple) else values[name]
+        for name in of_filter
+    }
+    assert of_filter["dvl.lever_arm"]["why"].startswith(CHECK)
+    assert told["parameters"]["insdvl_replay"]["imu_topic"]["value"] == "/imu"
 
 
 def test_what_is_set_stands_in_the_file(tmp_path: Path) -> None:

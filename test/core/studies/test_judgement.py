@@ -206,12 +206,47 @@ def test_the_mount_is_accused_only_beyond_chance_and_beyond_careful_installation
     assert "; or the stamps of the DVL are 0.10 s late" in two.text
 
 
+def test_noise_up_to_the_floor_is_no_finding() -> None:
+    """4 mm/s from ping to ping say nothing of errors that last, for which 10 mm/s are told."""
+    parameters = build(FilterParameters, RIGHT)
+    white = replace(NOISE, shown=0.004, shown_std=0.0001)
+    for told in (0.004, 0.0087, 0.01, 0.0149):
+        assert not list(verdict._of_dvl_noise(replace(white, told=told), parameters)), told
+    (large,) = verdict._of_dvl_noise(replace(white, told=0.05), parameters)
+    assert large.cautious and "5.0 times too large" in large.text
+    assert "[0.0100, 0.0100, 0.0100] m/s, which is dvl.noise_floor" in large.remedy
+    (small,) = verdict._of_dvl_noise(replace(white, told=0.001), parameters)
+    assert not small.cautious and "4.0 times too small" in small.text
+    assert "[0.0100, 0.0100, 0.0100]" in small.remedy
+    # A floor of zero: what the pings show is all there is.
+    without = build(FilterParameters, RIGHT | {"dvl.noise_floor": 0.0})
+    (large,) = verdict._of_dvl_noise(replace(white, told=0.0087), without)
+    assert "2.2 times too large" in large.text and "[0.0040," in large.remedy
+
+
+def test_noise_that_is_told_for_lasting_errors_is_not_called_that_of_the_prediction() -> None:
+    """It makes NIS small, and neighbours alike; a NIS that is too large stays a finding."""
+    parameters = build(FilterParameters, RIGHT)
+    told = replace(NOISE, shown=0.004, shown_std=0.0001, told=0.01)
+    nu = np.random.default_rng(6).normal(size=(1000, 3))
+    alike = (nu[1:] + nu[:-1]) / math.sqrt(2.0)
+    for factor, names in ((0.4, []), (1.0, []), (3.0, ["prediction"])):
+        found = innovations.statistics(reports(factor * alike, np.eye(3)))
+        findings = [
+            *verdict._of_prediction(found, told, [], parameters, (1e-4, 1e-6)),
+            *verdict._of_whiteness(found, told),
+        ]
+        assert [finding.name for finding in findings] == names
+        line = verdict._judgement([], found, None, told, {})
+        assert "NIS is small, as the noise of the DVL is told with errors that last" in line
+
+
 def test_the_line_is_of_what_makes_it_not_right() -> None:
     cautious = verdict.Finding("dvl_noise", "told too large", "lower it", cautious=True)
     wrong = verdict.Finding("mount", "turned", "set it")
 
     def line(*findings: verdict.Finding) -> str:
-        return verdict._judgement(list(findings), None, None, {})
+        return verdict._judgement(list(findings), None, None, None, {})
 
     assert line(cautious) == "TOO CAUTIOUS: told too large: lower it"
     assert line(cautious, wrong) == "NOT RIGHT: turned: set it (1 more above)"

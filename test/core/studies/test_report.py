@@ -297,7 +297,7 @@ def test_a_noisy_trace_keeps_its_extremes() -> None:
 
 
 def test_an_ellipse_has_two_sigma_along_its_axes() -> None:
-    points = figures.ellipse(1.0, 2.0, np.array([[9.0, 0.0], [0.0, 4.0]]))
+    points = figures.ellipse(np.array([1.0, 2.0]), np.array([[9.0, 0.0], [0.0, 4.0]]))
     assert np.ptp(points[:, 0]) == pytest.approx(12.0, rel=1e-3)
     assert np.ptp(points[:, 1]) == pytest.approx(8.0, rel=1e-3)
 

@@ -232,7 +232,7 @@ def test_bad_input_is_one_sentence_and_exit_code_2(options, message, tmp_path, m
     assert files_below(tmp_path) == ["file"]
 
 
-@pytest.mark.parametrize("options", [["--preset", "absent"], ["--jobs", "two"], ["--fast"]])
+@pytest.mark.parametrize("options", [["--jobs", "two"], ["--fast"]])
 def test_an_unknown_option_is_exit_code_2(options, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit) as ended:

@@ -103,7 +103,7 @@ def repeat_chance(reading: Array, readings: Array, sigma: Array) -> float:
     component; and there are k over n choices of them. A vehicle that moves makes it less.
 
     Args:
-        reading: (m,) of the measurement.
+        reading: (m,) of the measurement, the components that were measured.
         readings: (k, m) before it, the newest first.
         sigma: (m,) of its noise, as it is told. The noise is taken as no more than the scatter from
             one reading to the next.

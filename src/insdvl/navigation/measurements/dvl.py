@@ -271,7 +271,8 @@ class DvlModel(SensorModel[Dvl]):
         if not past.equal:
             return ""
         sigma = np.sqrt(np.abs(np.diagonal(self.noise(event))))
-        chance = claims.repeat_chance(event.v_d, past.readings, sigma)
+        known = np.array(event.measured)  # the others are zeros, whose equality tells nothing
+        chance = claims.repeat_chance(event.v_d[known], past.readings[:, known], sigma[known])
         return "repeated" if chance < claims.LEAST_CHANCE else ""
 
     def noise(self, event: Dvl) -> Array:

@@ -169,16 +169,16 @@ class Scenario:
                 another's: vibration, time constants, and errors of the IMU.
         """
         sea, vibration, coloured, imperfect, dvl = rng.spawn(5)
-        coloured_rngs = coloured.spawn(2)
+        profile_rng, tau_rng = coloured.spawn(2)
         if vehicle is not None:
             _, vibration, of_vehicle, imperfect, _ = vehicle.spawn(5)
-            coloured_rngs[1] = of_vehicle.spawn(2)[1]
+            tau_rng = of_vehicle.spawn(2)[1]
         lines: tuple[Line, ...] = ()
         shaken: Vibration | None = None
         if self.vibrating:
             shaken, lines = _drawn_vibration(rate, vibration)
         return Disturbances(
-            imu=self._errors(duration, lines, *coloured_rngs, imperfect),
+            imu=self._errors(duration, lines, profile_rng, tau_rng, imperfect),
             sea=drawn_sea(sea) if self.waves else None,
             vibration=shaken,
             dvl=self._dvl_errors(duration, dvl),

@@ -40,11 +40,26 @@ class Result:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Print what is found; the exit code is 1 where something is wrong."""
+    """Tell what is found; the exit code is 1 where something is wrong."""
     results = [*_python(), *_packages(), *_cache(), *_models(), *_ros()]
-    for result in results:
-        print(f"{result.mark:8}{result.text}")
-    return int(any(result.fault for result in results))
+    wrong = any(result.fault for result in results)
+    text = "\n".join(f"{result.mark:8}{result.text}" for result in results)
+    if arguments.json is None:
+        print(text)
+        return int(wrong)
+    document = {
+        "right": not wrong,
+        "results": [{"mark": result.mark, "text": result.text} for result in results],
+    }
+    try:
+        # Not above: it needs numpy, which may be what is missing.
+        output = import_module("insdvl.studies.document")
+        output.check_place(arguments.json)
+        output.tell(arguments.json, document, text)
+    except (ImportError, ValueError, OSError) as error:
+        print(f"insdvl doctor: {error}", file=sys.stderr)
+        return 2
+    return int(wrong)
 
 
 def _python() -> Iterator[Result]:

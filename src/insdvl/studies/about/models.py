@@ -1,32 +1,42 @@
 """The command `insdvl models`: the shipped models, and what their cards say."""
 
 import argparse
-from collections.abc import Mapping
+import sys
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from insdvl.files import json_text
+from insdvl.studies.document import check_place, tell
 from insdvl.tuner.models import shipped_cards
 
 _HEADER = ("name", "kind", "inputs", "window", "trained on", "error", "needs")
+_FOOT = """\
+window: samples; trained on: variances of white noise, or kinds of vehicles; error, on
+what training has not seen: relative RMSE, or RMS of the logarithm of the variance.
+The tuner's parameter 'model' takes a name."""
 #: Extra of the packages that a kind of model needs aboard.
 _NEEDS = {"network": "insdvl[onnx]"}
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Print the cards."""
+    """Tell the cards; the exit code is 2 where they cannot be written."""
     cards = shipped_cards()
-    if arguments.json:
-        print(json_text({card["name"]: card for card in cards}), end="")
-        return 0
+    try:
+        check_place(arguments.json)
+        tell(arguments.json, {card["name"]: card for card in cards}, _table(cards))
+    except (ValueError, OSError) as error:
+        print(f"insdvl models: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _table(cards: Sequence[Mapping[str, Any]]) -> str:
     rows = [_HEADER, *(_row(card) for card in cards)]
     widths = [max(len(row[k]) for row in rows) for k in range(len(_HEADER))]
-    for row in rows:
-        print("  ".join(f"{cell:{w}}" for cell, w in zip(row, widths, strict=True)).rstrip())
-    print()
-    print("window: samples; trained on: variances of white noise, or kinds of vehicles; error, on")
-    print("what training has not seen: relative RMSE, or RMS of the logarithm of the variance.")
-    print("The tuner's parameter 'model' takes a name.")
-    return 0
+    lines = [
+        "  ".join(f"{cell:{w}}" for cell, w in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    ]
+    return "\n".join([*lines, "", _FOOT])
 
 
 def _row(card: Mapping[str, Any]) -> tuple[str, ...]:

@@ -3,19 +3,22 @@
 import argparse
 
 from insdvl.commands import examples
+from insdvl.studies.arguments.output import add_json_option
 
 SHELLS = ("bash", "zsh")
 
 
 def models(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `insdvl models`."""
-    parser.epilog = examples("models", "models --json")
-    parser.add_argument("--json", action="store_true", help="print the cards as JSON")
+    parser.epilog = examples("models", "models --json -")
+    add_json_option(parser, alone=True)
 
 
 def params(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `insdvl params`."""
-    parser.epilog = examples("params lever_arm", "params heading --node insdvl_filter")
+    parser.epilog = examples(
+        "params lever_arm", "params heading --node insdvl_filter", "params --json parameters.json"
+    )
     parser.add_argument(
         "word",
         nargs="?",
@@ -24,11 +27,13 @@ def params(parser: argparse.ArgumentParser) -> None:
         help="part of the name or of the meaning; all parameters without it",
     )
     parser.add_argument("--node", metavar="NODE", help="of this node only, such as insdvl_filter")
+    add_json_option(parser)
 
 
 def doctor(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of `insdvl doctor`: there are none."""
-    parser.epilog = examples("doctor", "doctor && insdvl check dive")
+    """Declare the options of `insdvl doctor`."""
+    parser.epilog = examples("doctor", "doctor --json -", "doctor && insdvl check dive")
+    add_json_option(parser)
 
 
 def warm(parser: argparse.ArgumentParser) -> None:

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 from insdvl.commands import examples
+from insdvl.studies.arguments.output import add_json_option
 from insdvl.studies.arguments.recording import add_recording, add_set_option, recording_faults
 
 
@@ -24,9 +25,4 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "the defaults, with frame convention, mount and rate of the IMU as the recording tells)",
     )
     add_set_option(parser)
-    parser.add_argument(
-        "--json",
-        type=Path,
-        metavar="FILE",
-        help="JSON output file; - writes it to the terminal, instead of the text",
-    )
+    add_json_option(parser)

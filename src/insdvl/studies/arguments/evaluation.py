@@ -1,10 +1,11 @@
 """The arguments of `insdvl evaluate`."""
 
 import argparse
+from collections.abc import Iterator
 from pathlib import Path
 
-from insdvl.commands import examples
-from insdvl.jobs.arguments import add_worker_options
+from insdvl.commands import Names, examples, unknown_names
+from insdvl.jobs.arguments import add_worker_options, worker_faults
 
 #: The names that the modules of the study define; a test holds that they are the same.
 SCENARIOS = (
@@ -42,7 +43,14 @@ ROWS = (
 TAUGHT = "taught"
 R_ROWS = ("R nominal", "R adaptive", "R learned", "R oracle", "bands with R adaptive")
 ERROR_STATES = ("invariant", "ned")
-DURATION = 330  # s
+MIN_DURATION, DURATION = 10, 330  # s
+MIN_RUNS = 2  # fewer give no interval
+_RANGES = {
+    "--dvl-std": (1e-3, 10.0, " m/s"),
+    "--dvl-rate": (0.1, 20.0, ""),
+    "--outliers": (0.0, 0.5, ""),
+    "--q-factor": (1e-6, 1e6, ""),
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,21 +59,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "evaluate --scenario varying --json varying.json --plot varying.png",
         "evaluate --scenario wide --rows 'hcf default,oracle' --runs 20 --json wide.json",
     )
+    parser.set_defaults(faults=_faults)
     parser.add_argument(
         "--scenario",
         default="varying",
+        choices=Names(SCENARIOS),
         metavar="NAME",
         help=f"noise and motion: {', '.join(SCENARIOS)} (default: varying)",
     )
     parser.add_argument(
         "--preset",
         default="calibrated",
+        choices=Names(PRESETS),
         metavar="NAME",
         help=f"parameters of the filters: {', '.join(PRESETS)} (default: calibrated)",
     )
     parser.add_argument(
         "--error-state",
         default="",
+        choices=Names(ERROR_STATES),
         metavar="NAME",
         help=f"{' or '.join(ERROR_STATES)} (default: that of the preset)",
     )
@@ -143,3 +155,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="output file of errors over time: .png, .pdf or .svg",
     )
     add_worker_options(parser)
+
+
+def _faults(arguments: argparse.Namespace) -> Iterator[str]:
+    yield from unknown_names("--scenario", [arguments.scenario], SCENARIOS)
+    yield from unknown_names("--preset", [arguments.preset], PRESETS)
+    if arguments.error_state:
+        yield from unknown_names("--error-state", [arguments.error_state], ERROR_STATES)
+    if arguments.rows is not None:
+        yield from unknown_names("--rows", arguments.rows.split(","), (*ROWS, TAUGHT, *R_ROWS))
+    yield from run_faults(arguments)
+    for option, (low, high, unit) in _RANGES.items():
+        value = getattr(arguments, option.removeprefix("--").replace("-", "_"))
+        if not low <= value <= high:
+            yield f"{option} must be within {low:g} to {high:g}{unit}, got {value:g}"
+    if arguments.duration is not None and not MIN_DURATION <= arguments.duration <= DURATION:
+        limits = f"{MIN_DURATION} to {DURATION} s"
+        yield f"--duration must be within {limits}, got {arguments.duration:g}"
+    yield from worker_faults(arguments)
+
+
+def run_faults(arguments: argparse.Namespace) -> Iterator[str]:
+    """What is wrong with --runs, --tuning-runs and --seed."""
+    for option, value in ("--runs", arguments.runs), ("--tuning-runs", arguments.tuning_runs):
+        if value is not None and value < MIN_RUNS:
+            yield f"{option} must be >= {MIN_RUNS}, got {value}"
+    if arguments.seed < 0:
+        yield f"--seed must be >= 0, got {arguments.seed}"

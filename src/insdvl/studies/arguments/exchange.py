@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from insdvl.commands import examples
+from insdvl.studies.arguments.output import add_json_option
 from insdvl.studies.arguments.recording import add_recording, recording_faults, taken
 
 
@@ -38,6 +39,7 @@ def import_(parser: argparse.ArgumentParser) -> None:
         metavar="BAG",
         help="new folder, a rosbag2; an existing one is not overwritten",
     )
+    add_json_option(parser)
 
 
 def _faults_of_import(arguments: argparse.Namespace) -> Iterator[str]:
@@ -68,3 +70,4 @@ def export(parser: argparse.ArgumentParser) -> None:
         metavar="TOPIC",
         help="topic of an odometry, an IMU or a velocity (default: odometry/filtered)",
     )
+    add_json_option(parser)

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from insdvl.commands import examples
+from insdvl.studies.arguments.output import add_json_option
 from insdvl.studies.arguments.recording import (
     add_recording,
     add_set_option,
@@ -30,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="new parameter file; an existing one is not overwritten",
     )
     add_set_option(parser)
+    add_json_option(parser)
 
 
 def _faults(arguments: argparse.Namespace) -> Iterator[str]:

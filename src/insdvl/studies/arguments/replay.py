@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from insdvl.commands import examples
+from insdvl.studies.arguments.output import add_json_option
 from insdvl.studies.arguments.recording import (
     add_recording,
     add_set_option,
@@ -62,9 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "track.csv, track.tum, numbers.json (default: BAG-replay in the working directory; with "
         "--json alone none)",
     )
-    parser.add_argument(
-        "--json", metavar="FILE", help="write the numbers to a file; - is standard output"
-    )
+    add_json_option(parser)
     parser.add_argument(
         "--rate",
         type=float,

@@ -1,10 +1,12 @@
 """The arguments of `insdvl results`."""
 
 import argparse
+from collections.abc import Iterator
 from pathlib import Path
 
-from insdvl.commands import examples
-from insdvl.jobs.arguments import add_worker_options
+from insdvl.commands import examples, unknown_names
+from insdvl.jobs.arguments import add_worker_options, worker_faults
+from insdvl.studies.arguments.evaluation import run_faults
 
 #: The names that the modules of the study define; a test holds that they are the same.
 VEHICLE, WITHHELD = "vehicle", "withheld"
@@ -39,6 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "results --parts wide-paper,window --jobs 2",
         "results --recordings bags --config vehicle.yaml --out docs",
     )
+    parser.set_defaults(faults=_faults)
     parser.add_argument(
         "--out",
         type=Path,
@@ -79,3 +82,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seed", type=int, default=1, help="random seed (default: 1)")
     add_worker_options(parser)
+
+
+def _faults(arguments: argparse.Namespace) -> Iterator[str]:
+    if arguments.parts not in (None, "none"):
+        asked = arguments.parts.split(",")
+        yield from unknown_names("--parts", asked, PARTS)
+        if arguments.recordings is None or arguments.config is None:
+            for part in (VEHICLE, WITHHELD):
+                if part in asked:
+                    yield f"--parts {part} needs --recordings and --config"
+    yield from run_faults(arguments)
+    yield from worker_faults(arguments)

@@ -1,14 +1,19 @@
 """The arguments of `insdvl train`."""
 
 import argparse
+from collections.abc import Iterator
 from pathlib import Path
 
-from insdvl.commands import examples
-from insdvl.jobs.arguments import add_worker_options
+from insdvl.commands import Names, examples, unknown_names
+from insdvl.jobs.arguments import add_worker_options, worker_faults
 
 #: The names that the modules of the study define; a test holds that they are the same.
 PRESETS = ("bands", "default", "paper", "dnn", "dnn-default")
+BANDS = "bands"
 WINDOW = 200  # samples
+_LIMITS = (10, 2000)  # of a window
+_LIMITS_OF = {BANDS: (WINDOW, WINDOW), "dnn": (22, 2000), "dnn-default": (22, 2000)}
+MAX_SEED = 2**32 - 1  # scikit-learn's largest
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -19,10 +24,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "train --preset bands --quick --out models",
         "train --from-bags dive1 dive2 dive3 --config my.yaml --out models",
     )
+    parser.set_defaults(faults=_faults)
     parser.add_argument(
         "--preset",
         default="default",
-        choices=PRESETS,
+        choices=Names(PRESETS),
         help="model to train; default: trees for any scale; paper: trees as published; "
         "dnn-default, dnn: the same with a convolutional network; bands: trees on band powers, "
         "for noise that is not white",
@@ -70,3 +76,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="output folder of model and card (default: ./models)",
     )
     add_worker_options(parser)
+
+
+def _faults(arguments: argparse.Namespace) -> Iterator[str]:
+    if arguments.from_bags:
+        for path in (*arguments.from_bags, *(arguments.config or [])):
+            if not path.exists():
+                yield f"{path} does not exist"
+        return
+    preset, window = arguments.preset, arguments.window
+    yield from unknown_names("--preset", [preset], PRESETS)
+    yield from worker_faults(arguments)
+    if not 0 <= arguments.seed <= MAX_SEED:
+        yield f"--seed must be within 0 to {MAX_SEED}, got {arguments.seed}"
+    low, high = _LIMITS_OF.get(preset, _LIMITS)
+    if not low <= window <= high:
+        yield f"--window must be within {low} to {high}, got {window}"
+    if arguments.quick and preset != BANDS:
+        yield f"--quick is for --preset {BANDS}, got --preset {preset}"

@@ -5,7 +5,6 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from insdvl.files import check_writable, json_text, write
 from insdvl.jobs.progress import Progress
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import ParameterError
@@ -19,29 +18,22 @@ from insdvl.studies.check.findings import FILTER, REPLAY, is_usable
 from insdvl.studies.check.inspection import Inspection, inspect
 from insdvl.studies.check.text import document_of, text_of
 from insdvl.studies.check.topics import READ
+from insdvl.studies.document import check_place, tell
 
 #: The nodes whose parameters are used here.
 GROUPS = {FILTER: FilterParameters, REPLAY: ReplayParameters}
-TERMINAL = Path("-")  # as an output file
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Check; the exit code is 1 where the recording is not usable, 2 where it cannot be read."""
     try:
-        if arguments.json not in (None, TERMINAL):
-            check_writable(arguments.json, "--json")
+        check_place(arguments.json)
         filter_, replay = parameters_of(arguments.config or [], arguments.set)
         adapt = arguments.config is None and not arguments.set
         seen = looked_at(arguments, filter_, replay, adapt=adapt)
         found = answers(seen)
-        if arguments.json is not None:
-            document = json_text(document_of(str(arguments.bag), seen, found))
-            if arguments.json == TERMINAL:
-                print(document, end="")
-            else:
-                write(arguments.json, document.encode())
-        if arguments.json != TERMINAL:
-            print(text_of(str(arguments.bag), seen, found))
+        name = str(arguments.bag)
+        tell(arguments.json, document_of(name, seen, found), text_of(name, seen, found))
     except (ValueError, OSError) as error:
         for line in str(error).splitlines():
             print(f"insdvl check: {line}", file=sys.stderr)

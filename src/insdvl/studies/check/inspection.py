@@ -54,6 +54,7 @@ class Inspection:
         gravity: What contradicts gravity.
         remedies: What the motion contradicts.
         windows: Windows of motion.
+        ping_noise: See `AlignmentCheck.ping_noise`.
     """
 
     topics: dict[str, RecordedTopic]
@@ -71,6 +72,7 @@ class Inspection:
     gravity: list[str]
     remedies: list[Remedy]
     windows: int
+    ping_noise: tuple[float, float] | None
 
 
 def inspect(
@@ -189,6 +191,7 @@ class _Pass:
             gravity=self._alignment.gravity,
             remedies=self._alignment.remedies,
             windows=self._alignment.windows,
+            ping_noise=self._alignment.ping_noise(),
         )
 
     def _look(self, raw: Raw) -> None:

@@ -13,8 +13,6 @@ from insdvl.jobs.store import Store, environment
 from insdvl.studies.arguments.consistency import NAME, QUICK_RUNS, RUNS
 from insdvl.studies.consistency.page import STUDIES, consistency_page
 from insdvl.studies.consistency.study import Extent, Study
-from insdvl.studies.evaluation.comparison import MIN_RUNS
-from insdvl.studies.evaluation.options import check_names
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -46,14 +44,9 @@ def _asked(arguments: argparse.Namespace) -> tuple[Extent, list[Study]]:
     runs = arguments.runs
     if runs is None:
         runs = QUICK_RUNS if arguments.quick else RUNS
-    if runs < MIN_RUNS:
-        raise ValueError(f"--runs must be >= {MIN_RUNS}, got {runs}")
-    if arguments.seed < 0:
-        raise ValueError(f"--seed must be >= 0, got {arguments.seed}")
     names = [study.name for study in STUDIES]
     if arguments.studies is not None:
         names = [] if arguments.studies == "none" else arguments.studies.split(",")
-        check_names("--studies", names, [study.name for study in STUDIES])
     extent = Extent(runs, arguments.seed, arguments.quick)
     return extent, [study for study in STUDIES if study.name in names]
 

@@ -36,7 +36,6 @@ from insdvl.studies.evaluation.monte_carlo import METRICS, Study, evaluate_run, 
 #: A row that fails in more than this share of the runs is left out of the pairs: its other runs say
 #: little, and it would remove its failed runs from all other rows.
 MOST_FAILURES = 0.1
-MIN_RUNS = 2  # fewer runs give no interval
 _BOOTSTRAP = 2003  # key of the random stream
 RATIO_METRICS = ("body_rmse", "srmse")
 NEES = ("velocity", "attitude", "velocity_attitude", "bias", "position")

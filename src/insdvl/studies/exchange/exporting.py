@@ -18,6 +18,7 @@ from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.frames import rotation_from_quaternion, rpy_from_rotation
 from insdvl.recordings.bag_reader import BagReader
 from insdvl.recordings.base import BagError
+from insdvl.studies.document import check_place, tell
 
 _XYZ = "xyz"
 
@@ -27,16 +28,17 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         output: Path = arguments.output
         check_writable(output, "--output")
-        rows, topic = _export(arguments)
+        check_place(arguments.json)
+        document = _export(arguments)
+        tell(arguments.json, document, f"{output}: {document['rows']} rows of {document['topic']}")
     except (ValueError, OSError) as error:
         print(f"insdvl export: {error}", file=sys.stderr)
         return 2
-    print(f"{output}: {rows} rows of {topic}")
     return 0
 
 
-def _export(arguments: argparse.Namespace) -> tuple[int, str]:
-    """Write the file; the number of its rows, and the topic."""
+def _export(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Write the file; what it holds."""
     bag_path: Path = arguments.bag
     output: Path = arguments.output
     if output.suffix not in (".csv", ".tum"):
@@ -55,7 +57,13 @@ def _export(arguments: argparse.Namespace) -> tuple[int, str]:
             values = (f"{value:.12g}" for value in form(recorded.message))
             lines.append(separator.join([f"{seconds}.{rest:09d}", *values]))
     write(output, ("\n".join(lines) + "\n").encode())
-    return len(lines) - header, topic
+    return {
+        "bag": str(bag_path),
+        "topic": topic,
+        "type": kind,
+        "file": str(output),
+        "rows": len(lines) - header,
+    }
 
 
 def _topic(bag: BagReader, asked: str | None) -> str:

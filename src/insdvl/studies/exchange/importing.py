@@ -4,16 +4,18 @@ import argparse
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array, Stamps
+from insdvl.files import finite
 from insdvl.messages.topics import DVL, DVL_WITH_COVARIANCE, IMU, TRUTH
 from insdvl.recordings.bag_writer import BagWriter
 from insdvl.recordings.base import Raw, encode
 from insdvl.recordings.messages import imu_message, odometry_message, twist_message
+from insdvl.studies.document import check_place, tell
 from insdvl.studies.exchange.maps import MapError, SourceMap, read_map
 from insdvl.studies.exchange.stamps import even_out
 from insdvl.studies.exchange.tables import Table, check_stamps, lines_text, read_table
@@ -24,18 +26,24 @@ class Stream(NamedTuple):
 
     Attributes:
         raws: The messages.
+        facts: The same for the JSON document.
         said: One line.
     """
 
     raws: list[Raw]
+    facts: dict[str, Any]
     said: str
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Import. The exit code is 2 if the input is refused; then nothing is written."""
     try:
-        for line in _import(arguments):
-            print(line)
+        check_place(arguments.json)
+        streams = _import(arguments)
+        out = arguments.out
+        document = {"bag": str(out), "files": [stream.facts for stream in streams]}
+        lines = [*(stream.said for stream in streams), f"{out}: next, insdvl check {out}"]
+        tell(arguments.json, document, "\n".join(lines))
     except (ValueError, OSError) as error:
         for line in str(error).splitlines():
             print(f"insdvl import: {line}", file=sys.stderr)
@@ -43,7 +51,8 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _import(arguments: argparse.Namespace) -> Iterator[str]:
+def _import(arguments: argparse.Namespace) -> list[Stream]:
+    """Write the recording; what is in it."""
     out: Path = arguments.out
     if out.exists() or out.is_symlink():
         raise MapError(f"--out {out} exists already and is not overwritten")
@@ -62,8 +71,7 @@ def _import(arguments: argparse.Namespace) -> Iterator[str]:
     with BagWriter(out) as bag:
         for raw in sorted((r for s in streams for r in s.raws), key=lambda raw: raw.time_ns):
             bag.write(raw)
-    yield from (stream.said for stream in streams)
-    yield f"{out}: next, insdvl check {out}"
+    return streams
 
 
 def _stream(path: Path, source: SourceMap, table: Table) -> Stream:
@@ -71,10 +79,20 @@ def _stream(path: Path, source: SourceMap, table: Table) -> Stream:
     arrivals_ns = table.stamps_ns
     check_stamps(path, arrivals_ns)
     said = f"{path}: {len(arrivals_ns)} rows"
+    facts: dict[str, Any] = {
+        "file": str(path),
+        "sensor": source.source,
+        "rows": len(arrivals_ns),
+        "duration": None,
+        "rate": None,
+        "lines_left_out": [int(line) for line in table.left_out],
+        "delays": None,
+    }
     if len(arrivals_ns) > 1:
         seconds = float(arrivals_ns.max() - arrivals_ns.min()) * 1e-9
         rate = (len(arrivals_ns) - 1) / seconds if seconds > 0.0 else float("nan")
         said += f" in {seconds:.6g} s, {rate:.4g} Hz"
+        facts |= {"duration": seconds, "rate": finite(rate)}
     if table.left_out:
         said += f"; {len(table.left_out)} without a number left out (lines "
         said += f"{lines_text(table.left_out)})"
@@ -86,17 +104,18 @@ def _stream(path: Path, source: SourceMap, table: Table) -> Stream:
             raise MapError(f"{path}: {error}") from error
         stamps_ns = evened.stamps_ns
         check_stamps(path, stamps_ns)
+        middle, longest = float(np.median(evened.delays)), float(evened.delays.max())
+        facts["rate"], facts["delays"] = evened.rate, {"median": middle, "longest": longest}
         said += (
             f"; stamps of arrival evened out to {evened.rate:.5g} Hz, delays of "
-            f"{1e3 * float(np.median(evened.delays)):.2g} ms, at most "
-            f"{1e3 * float(evened.delays.max()):.2g} ms"
+            f"{1e3 * middle:.2g} ms, at most {1e3 * longest:.2g} ms"
         )
     make = {"imu": _imu, "dvl": _dvl, "truth": _truth}[source.source]
     raws = [
         raw._replace(time_ns=int(time_ns))
         for raw, time_ns in zip(make(path, source, table, stamps_ns), arrivals_ns, strict=True)
     ]
-    return Stream(raws, said)
+    return Stream(raws, facts, said)
 
 
 def _imu(path: Path, source: SourceMap, table: Table, stamps_ns: Stamps) -> Iterator[Raw]:

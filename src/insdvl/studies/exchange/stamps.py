@@ -80,7 +80,8 @@ def _clock(arrivals: Array) -> tuple[float, float]:
 
     It is the edge of their lower convex hull at the mean of the numbers.
     """
-    t, hull = arrivals.tolist(), []
+    t: list[float] = arrivals.tolist()
+    hull: list[int] = []
     for k in range(len(t)):
         while len(hull) > 1:
             i, j = hull[-2:]

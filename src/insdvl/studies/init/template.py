@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,16 +35,12 @@ class Line(NamedTuple):
     why: str
 
 
-def parameter_file(
-    name: str,
-    seen: Inspection,
-    found: Sequence[Finding],
-    told: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
-) -> str:
-    """The file.
+def parameter_lines(
+    seen: Inspection, found: Sequence[Finding], told: Mapping[str, Mapping[str, Any]]
+) -> dict[str, list[Line]]:
+    """The parameters, by node.
 
     Args:
-        name: Of the recording.
         seen: What was seen of it, usable.
         found: What is said of it.
         told: Parameters that are set, by node.
@@ -60,11 +55,18 @@ def parameter_file(
             if key.endswith("mount"):
                 why += f"; at right angles it were {yaml_value(right_angles(value))}"
             lines[key] = Line(key, value, why)
-    text = _HEADER.format(name=name)
-    for node, rows in ((FILTER, lines), (REPLAY, {line.name: line for line in _replay(seen)})):
+    by_node = {FILTER: lines, REPLAY: {line.name: line for line in _replay(seen)}}
+    for node, rows in by_node.items():
         rows |= {key: Line(key, value, "as set") for key, value in told.get(node, {}).items()}
+    return {node: list(rows.values()) for node, rows in by_node.items()}
+
+
+def parameter_file(name: str, lines: Mapping[str, Sequence[Line]]) -> str:
+    """The file, of a recording of this name."""
+    text = _HEADER.format(name=name)
+    for node, of_node in lines.items():
         text += f"/**/{node}:\n  ros__parameters:\n"
-        for line in rows.values():
+        for line in of_node:
             text += f"    {f'{line.name}: {yaml_value(line.value)}':42}  # {line.why}\n"
     return text
 
@@ -87,11 +89,7 @@ def _filter(seen: Inspection) -> Iterator[Line]:
     yield Line("imu.mount", p.imu.mount, f"{CHECK}: roll, pitch, yaw, rad")
     yield Line("dvl.mount", p.dvl.mount, f"{CHECK}: roll, pitch, yaw, rad")
     yield Line("dvl.lever_arm", p.dvl.lever_arm, f"{CHECK}: position in base_link, m")
-    if dvl.scatter is None or not dvl.scatter.any():
-        yield Line("dvl.noise_std", p.dvl.noise_std, f"{CHECK}: m/s, by its data sheet")
-    else:
-        sigma = max(float(f"{np.sqrt(np.mean(dvl.scatter**2)):.2g}"), _LEAST_SCATTER)
-        yield Line("dvl.noise_std", (sigma,) * 3, "m/s, by their scatter")
+    yield _dvl_noise(seen)
     yield Line("initial.mode", p.initial.mode, "assumes nothing")
     told = "the IMU tells it" if orientation.is_told else f"{CHECK}: no sensor tells it"
     yield Line("initial.heading", p.initial.heading, told)
@@ -113,6 +111,23 @@ def _filter(seen: Inspection) -> Iterator[Line]:
 
 #: The resolution of a DVL's numbers [m/s]: that of a simulator may have no noise.
 _LEAST_SCATTER = 1e-3
+
+
+def _dvl_noise(seen: Inspection) -> Line:
+    """What the pings show beside the motion that the IMU tells, else their scatter with the motion.
+
+    Errors that last are in neither, so it is at least dvl.noise_floor.
+    """
+    name, told = "dvl.noise_std", seen.parameters.dvl
+    scatter = seen.dvl.scatter if seen.dvl is not None else None
+    if seen.ping_noise is not None:
+        shown, by = seen.ping_noise[0], "from ping to ping"
+    elif scatter is not None and scatter.any():
+        shown, by = float(np.sqrt(np.mean(scatter**2))), "by their scatter"
+    else:
+        return Line(name, told.noise_std, f"{CHECK}: m/s, by its data sheet")
+    sigma = max(float(f"{shown:.2g}"), told.noise_floor, _LEAST_SCATTER)
+    return Line(name, (sigma,) * 3, f"m/s, {shown:.2g} {by}, and at least dvl.noise_floor")
 
 
 def _told(p: FilterParameters) -> list[float]:

@@ -124,7 +124,7 @@ def verdict(replayed: Replayed, parameters: FilterParameters, document: dict[str
             *_of_gate(document, innovations, filter_),
             *_of_prediction(innovations, noise, withheld, parameters, imu),
             *_of_biases(document),
-            *_of_whiteness(innovations, noise, parameters),
+            *_of_whiteness(innovations, noise),
             *_of_reference(document),
         ]
     numbers = {
@@ -138,7 +138,7 @@ def verdict(replayed: Replayed, parameters: FilterParameters, document: dict[str
         "withheld": [asdict(w) for w in withheld],
         "findings": [asdict(finding) for finding in findings],
     }
-    judgement = _judgement(findings, innovations, mount, document)
+    judgement = _judgement(findings, innovations, mount, noise, document)
     return Verdict(findings, judgement, finite(numbers | {"judgement": judgement}))
 
 
@@ -146,6 +146,7 @@ def _judgement(
     findings: list[Finding],
     innovations: dict[str, Any] | None,
     mount: Mount | None,
+    noise: DvlNoise | None,
     document: dict[str, Any],
 ) -> str:
     if findings:
@@ -157,6 +158,8 @@ def _judgement(
         accepted = document["dvl_accepted"]
         return f"CANNOT TELL: only {accepted} DVL measurements were used, {FEWEST} are needed"
     text = "FITS: nothing in the innovations contradicts the configuration"
+    if _differs(noise):
+        text += "; NIS is small, as the noise of the DVL is told with errors that last"
     if hidden := ", ".join(_not_shown(mount)):
         text += f"; not seen by this motion: {hidden}; turns, dives and changes of speed show it"
     return text
@@ -277,13 +280,27 @@ def _change(change: Change, parameters: FilterParameters) -> tuple[str, str]:
     )
 
 
+def _differs(noise: DvlNoise | None) -> bool:
+    """Whether another noise from ping to ping is told than the recording shows."""
+    if noise is None or noise.z < SIGMAS:
+        return False
+    return not 1.0 / FACTOR < noise.shown / noise.told < FACTOR
+
+
 def _of_dvl_noise(noise: DvlNoise | None, parameters: FilterParameters) -> Iterator[Finding]:
-    if noise is None or noise.z < SIGMAS or 1.0 / FACTOR < noise.shown / noise.told < FACTOR:
+    """The pings do not show errors that last: more than they show is right up to the floor."""
+    if noise is None or not _differs(noise):
         return
-    ratio = noise.told / noise.shown
+    floor = parameters.dvl.noise_floor
+    honest = max(noise.shown, floor)
+    if noise.shown < noise.told < FACTOR * honest:
+        return
+    ratio = noise.told / honest if noise.told > noise.shown else noise.told / noise.shown
     by = f"{ratio:.1f} times too large" if ratio > 1.0 else f"{1.0 / ratio:.1f} times too small"
-    value = _list([noise.shown] * 3, 4)
+    value = _list([honest] * 3, 4)
     remedy = f"set dvl.noise_std to {value} m/s"
+    if honest == floor:
+        remedy += ", which is dvl.noise_floor"
     if noise.by_messages:
         remedy += ", and dvl.covariance to 'parameters': the messages tell another one"
     if ratio > 1.0:
@@ -307,6 +324,8 @@ def _of_prediction(
     """NIS that is not that of the DVL's noise is that of the prediction."""
     if innovations is None or any(_of_dvl_noise(noise, parameters)):
         return
+    # What is told for errors that last makes NIS small where there are none: no finding then.
+    fits = not _differs(noise)
     source = parameters.process_noise.source
     low, high = innovations["nis_median_bounds"]
     median, middle = innovations["nis_median"], innovations["nis_median_expected"]
@@ -316,9 +335,11 @@ def _of_prediction(
         for w in withheld
         if not w.nis_bounds[0] <= w.nis_mean <= w.nis_bounds[1] + w.nis_of_curvature
         and not expected / FACTOR**2 < w.nis_mean < expected * FACTOR**2 + w.nis_of_curvature
+        and (fits or w.nis_mean > expected)
     ]
-    if not low <= median <= high and not middle / FACTOR < median < middle * FACTOR:
-        large = median > middle
+    large = median > middle
+    beside = not low <= median <= high and not middle / FACTOR < median < middle * FACTOR
+    if beside and (fits or large):
         text = (
             f"the median of NIS is {median:.2f} and should be {middle:.2f}: the prediction is "
             f"{'worse' if large else 'better'} than the filter says"
@@ -366,14 +387,12 @@ def _of_biases(document: dict[str, Any]) -> Iterator[Finding]:
             yield Finding("bias", what, remedy)
 
 
-def _of_whiteness(
-    innovations: dict[str, Any] | None, noise: DvlNoise | None, parameters: FilterParameters
-) -> Iterator[Finding]:
+def _of_whiteness(innovations: dict[str, Any] | None, noise: DvlNoise | None) -> Iterator[Finding]:
     """Correlation and mean; a noise that is told wrongly correlates the innovations by itself."""
     if innovations is None:
         return
     rho, bound = innovations["autocorrelation"], innovations["autocorrelation_bound"]
-    if abs(rho) > max(bound, CORRELATED) and not any(_of_dvl_noise(noise, parameters)):
+    if abs(rho) > max(bound, CORRELATED) and not _differs(noise):
         yield Finding(
             "correlated",
             f"neighbouring innovations are correlated by {rho:+.2f} and should be white",

@@ -9,18 +9,19 @@ from pathlib import Path
 from typing import Any
 
 from insdvl.commands import INTERRUPTED
-from insdvl.files import check_writable, json_text, write
 from insdvl.jobs.progress import Progress
 from insdvl.messages.topics import PROCESS_NOISE
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import ParameterError, flatten
 from insdvl.parameters.files import ParameterFile
 from insdvl.parameters.files import read as read_files
-from insdvl.parameters.sections import full_name, nothing_for, reaches, warnings
+from insdvl.parameters.sections import Loaded, full_name, nothing_for, reaches, warnings
 from insdvl.parameters.settings import load_set, settings
 from insdvl.recordings.base import BagError
 from insdvl.recordings.parameters import ReplayParameters
 from insdvl.recordings.played import Recording
+from insdvl.studies.arguments.output import TERMINAL
+from insdvl.studies.document import check_place, write_document
 from insdvl.studies.judgement.incidents import incidents_of
 from insdvl.studies.judgement.verdict import Verdict, verdict
 from insdvl.studies.replay.fold import Replayed, fold_recording, read
@@ -35,8 +36,6 @@ from insdvl.studies.replay.text import side_by_side, table_of, verdict_of
 from insdvl.studies.report.facts import card_of, changed_parameters, versions
 from insdvl.tuner.parameters import TunerParameters
 from insdvl.watch.start import waits_for
-
-STANDARD_OUTPUT = "-"
 
 
 @dataclass(frozen=True)
@@ -91,11 +90,8 @@ def _replay(arguments: argparse.Namespace) -> tuple[bool, bool]:
         document, judgement, without_report = _navigated(arguments, first, out, ends)
     if compared:
         document["compared"] = compared
-    if arguments.json == STANDARD_OUTPUT:
-        sys.stdout.write(json_text(document))
-    elif arguments.json is not None:
-        write(Path(arguments.json), json_text(document).encode())
-    words = sys.stderr if arguments.json == STANDARD_OUTPUT else sys.stdout
+    write_document(arguments.json, document)
+    words = sys.stderr if arguments.json == TERMINAL else sys.stdout
     print(table_of(document), file=words)
     if out is not None:
         print(f"{'result':32} {out}", file=words)
@@ -206,7 +202,7 @@ def _configured(arguments: argparse.Namespace, further: str = "") -> Configurati
     told = settings(rules, groups, faults)
     files = read_files(paths)
     names = [_full_name(arguments.namespace, files, node) for node in groups]
-    loaded = []
+    loaded: list[Loaded[Any]] = []
     for name, (node, group) in zip(names, groups.items(), strict=True):
         try:
             loaded.append(load_set(files, name, group, told[node]))
@@ -261,8 +257,7 @@ def _check_places(arguments: argparse.Namespace) -> Path | None:
 
     Nothing is overwritten but the file of --json.
     """
-    if arguments.json not in (None, STANDARD_OUTPUT):
-        check_writable(Path(arguments.json), "--json")
+    check_place(arguments.json)
     out: Path | None = arguments.out
     if out is None:
         return new_folder(arguments.bag) if arguments.json is None else None

@@ -99,15 +99,15 @@ class Taken:
             for event in self.events
         ]
         part = Taken.of(stamps_ns[firsts + counts - 1], means, events)
+        told = parameters.process_noise
         noise = replace(
-            parameters.process_noise,
-            **{
-                f"{sensor}_{name}": _divided(
-                    getattr(parameters.process_noise, f"{sensor}_{name}"), divisor
-                )
-                for sensor in ("accelerometer", "gyroscope")
-                for name in ("variance", "floor", "ceiling")
-            },
+            told,
+            accelerometer_variance=_divided(told.accelerometer_variance, divisor),
+            accelerometer_floor=told.accelerometer_floor / divisor,
+            accelerometer_ceiling=told.accelerometer_ceiling / divisor,
+            gyroscope_variance=_divided(told.gyroscope_variance, divisor),
+            gyroscope_floor=told.gyroscope_floor / divisor,
+            gyroscope_ceiling=told.gyroscope_ceiling / divisor,
         )
         imu = replace(
             parameters.imu,
@@ -133,10 +133,8 @@ class Taken:
         return fold_arrays(parameters, *samples, chosen, every=max(len(stamps_ns), 1))
 
 
-def _divided(value: tuple[float, ...] | float, divisor: float) -> tuple[float, ...] | float:
-    if isinstance(value, tuple):
-        return tuple(element / divisor for element in value)
-    return value / divisor
+def _divided(values: tuple[float, ...], divisor: float) -> tuple[float, ...]:
+    return tuple(value / divisor for value in values)
 
 
 def _of_averages(event: ProcessNoise, divisor: float) -> ProcessNoise:

@@ -193,13 +193,13 @@ def errors_within(t: Array, errors: Array, sigma: Array, names: Sequence[str], y
     return over_time(traces, y, yaxis={"range": window(errors, sigma)})
 
 
-def ellipse(east: float, north: float, covariance: Array, sigmas: float = 2.0) -> Array:
-    """Points (33, 2) of the ellipse of a covariance (2, 2) about a place."""
+def ellipse(place: Array, covariance: Array, sigmas: float = 2.0) -> Array:
+    """Points (33, 2) of the ellipse of a covariance (2, 2) about a place (2,)."""
     values, vectors = np.linalg.eigh(covariance)
     angle = np.linspace(0.0, 2.0 * math.pi, 33)
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     axes = sigmas * np.sqrt(np.maximum(values, 0.0))
-    return np.array([east, north]) + (circle * axes) @ vectors.T
+    return place + (circle * axes) @ vectors.T
 
 
 def _faint(colour: str) -> str:

@@ -1,6 +1,6 @@
 """What a section of the report is made of."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
 
@@ -36,7 +36,7 @@ class Section:
     part: Callable[[Result], Part | None]
 
 
-def table(rows: list[tuple[str, ...]], head: tuple[str, ...] = ()) -> str:
+def table(rows: Sequence[tuple[str, ...]], head: tuple[str, ...] = ()) -> str:
     """A table of texts."""
     lines = ["<table>"]
     if head:

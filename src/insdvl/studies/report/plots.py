@@ -285,7 +285,7 @@ def draw_result(path: Path, result: StoredResult) -> None:
 def _map(axes: Axes, result: StoredResult) -> None:
     place, P = result.east_north(result.vector("position")), result.horizontal_covariance
     for k in np.linspace(0, len(place) - 1, _ELLIPSES).astype(int).tolist():
-        axes.plot(*figures.ellipse(*place[k], P[k]).T, color=figures.BLUE, linewidth=0.5, alpha=0.6)
+        axes.plot(*figures.ellipse(place[k], P[k]).T, color=figures.BLUE, linewidth=0.5, alpha=0.6)
     axes.plot(*place.T, color=figures.BLUE, linewidth=1.5, label="filter; ellipses 2 sigma")
     if result.reference is not None:
         true = result.east_north(result.of_reference("position"))

@@ -16,10 +16,10 @@ def where(result: Result) -> Part:
     place, P = result.east_north(result.vector("position")), result.horizontal_covariance
     rings: list[Array] = []
     for k in np.linspace(0, len(t) - 1, ELLIPSES).astype(int).tolist():
-        rings += [f.ellipse(*place[k], P[k]), np.full((1, 2), np.nan)]
+        rings += [f.ellipse(place[k], P[k]), np.full((1, 2), np.nan)]
     outline = np.concatenate(rings)
     at = f.thinned(len(t))
-    traces = [
+    traces: list[f.Trace] = [
         {
             "type": "scatter",
             "mode": "lines",

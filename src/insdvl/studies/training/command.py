@@ -15,8 +15,6 @@ from insdvl.studies.teaching import command as teaching
 from insdvl.studies.training import dataset
 from insdvl.tuner.models import write_model
 
-MIN_WINDOW, MAX_WINDOW = 10, 2000
-
 
 @dataclass(frozen=True)
 class Preset:
@@ -26,22 +24,15 @@ class Preset:
         module: Has ``train(preset, window, seed, pool, store, say)``, and for `bands` also
             ``quick``; imported only when needed.
         packages: Optional packages that it needs.
-        min_window: Smallest number of samples of a window.
-        max_window: Largest.
     """
 
     module: str
     packages: tuple[str, ...] = ()
-    min_window: int = MIN_WINDOW
-    max_window: int = MAX_WINDOW
 
 
 _TREES = Preset("insdvl.studies.training.ensemble")
-_NETWORK = Preset(
-    "insdvl.studies.training.network", ("torch", "onnx", "onnxruntime"), min_window=22
-)
-
-_BANDS = Preset("insdvl.studies.training.bands", min_window=200, max_window=200)
+_NETWORK = Preset("insdvl.studies.training.network", ("torch", "onnx", "onnxruntime"))
+_BANDS = Preset("insdvl.studies.training.bands")
 
 PRESETS = {
     "bands": _BANDS,
@@ -50,8 +41,6 @@ PRESETS = {
     "dnn": _NETWORK,
     "dnn-default": _NETWORK,
 }
-
-MAX_SEED = 2**32 - 1  # scikit-learn's largest
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -94,16 +83,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _checked(arguments: argparse.Namespace) -> Workers:
     workers = workers_from(arguments)
-    if not 0 <= arguments.seed <= MAX_SEED:
-        raise ValueError(f"--seed must be within 0 to {MAX_SEED}, got {arguments.seed}")
     preset = PRESETS[arguments.preset]
-    if not preset.min_window <= arguments.window <= preset.max_window:
-        raise ValueError(
-            f"--window must be within {preset.min_window} to {preset.max_window}, "
-            f"got {arguments.window}"
-        )
-    if arguments.quick and preset is not _BANDS:
-        raise ValueError(f"--quick is for --preset bands, got --preset {arguments.preset}")
     missing = [name for name in preset.packages if find_spec(name) is None]
     if missing:
         raise ValueError(

@@ -4,7 +4,7 @@ The probability model is in docs/explanation/alignment.md.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import permutations, product
 
@@ -36,7 +36,7 @@ LEFT_HANDED = 0.1
 UPRIGHT = 0.5  # cosine of the largest angle between the axis of gravity and the vertical
 
 #: One sigma of a parameter that was set with care, and of one that was not set.
-BLOCKS = {
+BLOCKS: Mapping[str, tuple[int | slice, float, float]] = {
     "mount": (MOUNT, math.radians(1.0), 1.0),  # rad
     "yaw": (YAW, math.radians(1.0), 1.5),  # rad; a mount that is level
     "scale": (SCALE, 0.01, 0.3),

@@ -250,7 +250,8 @@ def _step(info: Information, at: Array, prior: Prior, noise: Noise) -> Array:
     """Step (15,) from `at` to the most probable values of the linear problem."""
     N = _information(info, noise)
     A = N[:-1, :-1] + np.diag(prior.sigma**-2)
-    return np.linalg.solve(A, -N[:-1, -1] - (at - prior.mean) / prior.sigma**2)
+    b = -N[:-1, -1] - (at - prior.mean) / prior.sigma**2
+    return np.asarray(np.linalg.solve(A, b), dtype=np.float64)
 
 
 def _covariance(info: Information, prior: Prior, noise: Noise) -> Array:

@@ -177,8 +177,8 @@ class Search:
             cause: Information.of([m.tried[k] for m in motions], self._climb(motions, cause))
             for k, cause in enumerate(self.causes)
         }
-        for cause, info in tried.items():
-            fits[cause] = linear_fit(info, self._prior(cause), SMALLEST**2)
+        for wrong, info in tried.items():
+            fits[wrong] = linear_fit(info, self._prior(wrong), SMALLEST**2)
         yield
         fits[NOTHING] = yield from self._fit(problem, NOTHING)
         size, beam = 0, [NOTHING]
