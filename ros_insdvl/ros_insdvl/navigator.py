@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
-from insdvl.messages.topics import IMU, PROCESS_NOISE
+from insdvl.messages.topics import IMU, MEASUREMENT_NOISE, PROCESS_NOISE
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import ParameterError
 from insdvl.tuner.models import ModelError
@@ -29,7 +29,8 @@ The filter and the tuner in one process, which receives and decodes the IMU once
 /insdvl_filter and /insdvl_tuner, are as those of the executables filter and tuner, with their
 names, parameters, topics and services.
 
-The filter uses what the tuner learns with process_noise.source 'external'.
+The filter uses what the tuner learns with process_noise.source 'external', and of the DVL with
+dvl.noise_source 'adaptive' or 'learned'.
 """,
     examples=(
         "--params-file vehicle.yaml",
@@ -59,6 +60,8 @@ def navigator_nodes(**options: Any) -> Iterator[InsdvlNode[Any]]:
             "-r insdvl_filter:__node:=NAME or -r insdvl_tuner:__node:=NAME"
         )
     _share(filter_node, IMU, tuner)
+    if MEASUREMENT_NOISE in filter_node.inputs and MEASUREMENT_NOISE in tuner.outputs:
+        _share(tuner, MEASUREMENT_NOISE, filter_node)
     if PROCESS_NOISE in filter_node.inputs:
         _share(tuner, PROCESS_NOISE, filter_node)
     else:
