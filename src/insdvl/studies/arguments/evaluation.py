@@ -39,7 +39,14 @@ ROWS = (
     "perfect heading",
 )
 #: Rows that are not among all, and have to be asked for.
-R_ROWS = ("R nominal", "R adaptive", "R learned", "R oracle")
+R_ROWS = (
+    "R nominal",
+    "R adaptive",
+    "R learned",
+    "R adaptive received",
+    "R learned received",
+    "R oracle",
+)
 ERROR_STATES = ("invariant", "ned")
 DURATION = 330  # s
 
