@@ -27,7 +27,7 @@ from insdvl.tuner.windows import CHANNELS
 WINDOW, HISTORY = 200, 2000  # samples, the least and the largest number that it is given
 
 _TRIAL_RATE = 100.0  # Hz
-_TRIAL_SIGMA = (0.1,) * 3 + (1e-3,) * 3  # m/s^2, rad/s
+_TRIAL_SIGMA = np.repeat([0.1, 1e-3], 3)  # m/s^2, rad/s
 
 
 class EstimatorError(ValueError):
@@ -96,7 +96,7 @@ def _function(name: str) -> Callable[[Array, float], Any]:
         raise EstimatorError(
             f"estimator {name!r}: cannot import {module_name}: {type(error).__name__}: {error}"
         ) from error
-    function = getattr(module, path, None)
+    function: Callable[[Array, float], Any] | None = getattr(module, path, None)
     if not callable(function):
         raise EstimatorError(f"estimator {name!r}: {module_name} has no function {path!r}")
-    return function  # type: ignore[no-any-return]
+    return function

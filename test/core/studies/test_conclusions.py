@@ -28,6 +28,12 @@ def ratio(scenario: str, approach: str, reference: str, metric: str = "body_rmse
     return float(found["ratio_to"][reference][metric][0])
 
 
+def spectrum(scenario: str, approach: str) -> float:
+    found = row(numbers()[f"{scenario}-spectrum"], approach)
+    assert found is not None
+    return float(found["ratio_to"]["best constant"]["body_rmse"][0])
+
+
 def gain(scenario: str, approach: str) -> float:
     return 100.0 * (1.0 - ratio(scenario, approach, "best constant"))
 
@@ -70,6 +76,16 @@ ANSWERS = {
         100.0 * (1.0 - ratio("varying", "hcf default", "first constant")),
     ),
     "Of that, N % is calibration": lambda: (calibration("varying"),),
+    "from spectra has N of the error of the best constant where the vehicle vibrates": lambda: (
+        spectrum("vibrating", "bands"),
+    ),
+    "or meets waves, N in coloured noise and N with everything": lambda: (
+        spectrum("coloured", "bands"),
+        spectrum("realistic", "bands"),
+    ),
+    "is worse than the best constant in all four, by up to N %": lambda: (
+        100.0 * (spectrum("waves", "closed form") - 1.0),
+    ),
     "the body velocity error is N of that of a hand-set constant as they are": lambda: (
         as_recorded("body_velocity_rmse"),
     ),

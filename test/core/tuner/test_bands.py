@@ -11,6 +11,7 @@ from insdvl.tuner.features.band_features import (
 )
 from insdvl.tuner.features.band_forms import degrees, least_band, median_of_spectrum, single_band
 from insdvl.tuner.features.bands import band_powers
+from insdvl.tuner.models import load_model
 
 LENGTHS = (200, 400, 600, 2000)
 FORMS = (single_band, least_band, median_of_spectrum)
@@ -150,3 +151,22 @@ def test_unusable_windows_are_rejected(wrong):
 def test_windows_that_are_no_whole_imu_are_rejected():
     with pytest.raises(ValueError, match="whole IMUs, 6 rows each, got 7 rows"):
         band_features(white(7, 400))
+
+
+def test_the_shipped_model_takes_vibration_and_waves_for_motion() -> None:
+    model, q = load_model("bands"), np.repeat([1e-3, 1e-8], 3)
+    t = np.arange(2000) / 100.0
+    still = model.variances(np.sqrt(q)[:, None] * white(6, t.size))
+    for frequency, sigma in ((0.3, 30.0), (17.0, 10.0)):  # of the noise
+        motion = np.sqrt(2.0) * sigma * np.sin(2.0 * np.pi * frequency * t)
+        moving = model.variances(np.sqrt(q)[:, None] * (white(6, t.size) + motion))
+        assert (np.abs(np.log(moving / still)) < np.log(4.0)).all(), frequency
+    assert (np.abs(np.log(still / q)) < np.log(4.0)).all()
+
+
+def test_a_triad_times_a_factor_has_its_square_as_variance() -> None:
+    model, windows = load_model("bands"), white(6, 2000)
+    factors = np.repeat([8.0, 0.25], 3)
+    np.testing.assert_allclose(
+        model.variances(factors[:, None] * windows), factors**2 * model.variances(windows)
+    )

@@ -46,6 +46,7 @@ R_ROWS = (
     "R adaptive received",
     "R learned received",
     "R oracle",
+    "bands with R adaptive",
 )
 ERROR_STATES = ("invariant", "ned")
 DURATION = 330  # s

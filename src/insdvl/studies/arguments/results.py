@@ -21,6 +21,12 @@ PARTS = (
     "constant-paper-no-walk",
     "varying-ned",
     "varying-gate",
+    "vibrating-spectrum",
+    "coloured-spectrum",
+    "waves-spectrum",
+    "realistic-spectrum",
+    "varying-spectrum",
+    "wide-spectrum",
     "window",
     VEHICLE,
 )

@@ -102,8 +102,10 @@ ROWS = (
     ZERO_VELOCITY,
     PERFECT_HEADING,
 )
-#: Rows that differ in the noise of the DVL alone, by its source; they are told the effective Q.
+#: Rows that differ in the noise of the DVL alone, by its source; they are told the effective Q, but
+#: for the one whose Q and R are both learned.
 R_NOMINAL, R_ORACLE = "R nominal", "R oracle"
+BANDS_WITH_R = "bands with R adaptive"
 R_SOURCES = {
     R_NOMINAL: "nominal",
     "R adaptive": "adaptive",
@@ -111,6 +113,7 @@ R_SOURCES = {
     "R adaptive received": "adaptive",
     "R learned received": "learned",
     R_ORACLE: "nominal",
+    BANDS_WITH_R: "adaptive",
 }
 #: Those of them that also receive what the tuner learns from the pings.
 R_RECEIVED = ("R adaptive received", "R learned received")
@@ -217,8 +220,9 @@ def approach(name: str, setting: Setting) -> Approach:
         parameters = setting.filter(source="oracle")
         dvl = replace(parameters.dvl, noise_source=R_SOURCES[name])
         parameters = replace(parameters, dvl=dvl)
+        source = BANDS if name == BANDS_WITH_R else ORACLE
         received = name in R_RECEIVED
-        return Approach(name, parameters, ORACLE, name == R_ORACLE, setting.q_factor, received)
+        return Approach(name, parameters, source, name == R_ORACLE, setting.q_factor, received)
     source = "oracle" if name == ORACLE else "external"
     return Approach(name, setting.filter(source=source), name, told_r=name == ORACLE)
 
@@ -302,7 +306,7 @@ def model_of(row: str) -> str | None:
     """Name or path of the model of a row; None where the row has none."""
     if row.startswith(OWN_MODEL):
         return row.removeprefix(OWN_MODEL)
-    return BANDS if row == BANDS else LEARNED.get(row)
+    return BANDS if row in (BANDS, BANDS_WITH_R) else LEARNED.get(row)
 
 
 @cache

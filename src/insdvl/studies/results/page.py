@@ -242,9 +242,9 @@ def _vehicle(documents: Documents) -> str:
         """
 Recordings of a real vehicle, with noise added to the IMU. Errors are differences to the recorded
 reference. All measurements are used, as in the simulations; rows `gate on` have the gate of the
-configuration. `bands` is the model that was learned from vehicles. *Told* receives the injected
-variances; *told with hand-set* receives them plus the hand-set variances, which stand for the noise
-of the recording itself. The learned rows are bounded by differences, the closed form is not.
+configuration. *Told* receives the injected variances; *told with hand-set* receives them plus the
+hand-set variances, which stand for the noise of the recording itself. The learned rows are bounded
+by differences, the closed form is not.
 """,
         [vehicle_tables(document) if document else _missing("vehicle")],
     )
