@@ -15,6 +15,7 @@ from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.tuner.measurement_noise import DvlTuner
 from insdvl.tuner.parameters import TunedDvl, TunerParameters
 from ros_insdvl.filter import FilterNode
+from ros_insdvl.navigator import navigator_nodes
 from ros_insdvl.status.heard import OK, WARN
 from ros_insdvl.tuner import TunerNode
 
@@ -40,15 +41,19 @@ class TunerGraph(Graph):
         self.until(lambda: self.peer.count_publishers("measurement_noise") == 1)
 
     def send(self, k: int, f: np.ndarray, v: np.ndarray | None) -> None:
-        """A sample, and with a velocity a ping of its stamp; in the axes of ROS."""
-        message = Imu()
-        fill_imu(message, START_NS + k * STEP_NS, f, np.zeros(3))
-        self.imu.publish(message)
-        if v is not None:
-            ping = TwistStamped()
-            ping.header.frame_id = "dvl_link"
-            fill_twist(ping, START_NS + k * STEP_NS, v)
-            self.dvl.publish(ping)
+        publish(self.imu, self.dvl, k, f, v)
+
+
+def publish(imu: Any, dvl: Any, k: int, f: np.ndarray, v: np.ndarray | None) -> None:
+    """A sample, and with a velocity a ping of its stamp; in the axes of ROS."""
+    message = Imu()
+    fill_imu(message, START_NS + k * STEP_NS, f, np.zeros(3))
+    imu.publish(message)
+    if v is not None:
+        ping = TwistStamped()
+        ping.header.frame_id = "dvl_link"
+        fill_twist(ping, START_NS + k * STEP_NS, v)
+        dvl.publish(ping)
 
 
 @pytest.fixture
@@ -120,10 +125,39 @@ def test_the_filter_takes_it_and_refuses_what_is_no_covariance(managed):
     node = graph.make(FilterNode, **{"dvl.noise_source": "learned"})
     peer = graph.peer.create_publisher(TwistWithCovarianceStamped, "measurement_noise", RELIABLE)
     graph.until(lambda: peer.get_subscription_count() == 1)
-    for k, variance in enumerate((0.01, np.nan, 0.0, -1.0, -2.0, np.inf)):
+    for k, variance in enumerate((0.01, -2.0, 0.0, -1.0, np.nan, np.inf)):
         message = TwistWithCovarianceStamped()
-        fill_twist(message, START_NS + k, np.zeros(3), variance * np.eye(3))
+        fill_twist(message, START_NS + k, np.zeros(3), np.diag([variance] * 3))
         peer.publish(message)
     graph.until(lambda: node.received["measurement_noise"] == 6)
     told = {refused.reason: count for refused, count in node.rejected.items()}
     assert told == {"bad_covariance": 3, "no_data": 2}
+
+
+def test_in_one_process_it_is_handed_on_and_another_vehicle_is_warned_of(
+    managed: Any, capfd: pytest.CaptureFixture[str]
+) -> None:
+    graph = managed(Graph())
+    told = ("measurement_noise:=true", "dvl.noise_source:=adaptive", "imu.lever_arm:=[0.5,0.,0.]")
+    arguments = ["--ros-args", *(word for text in told for word in ("-p", text))]
+    arguments += ["-p", "insdvl_filter:dvl.mount:=[0.0, 0.0, 1.0]"]
+    for topic in ("imu/data_raw", "dvl/velocity"):
+        name = f"qos_overrides./{topic}.subscription.reliability:=reliable"
+        arguments += ["-p", f"insdvl_filter:{name}", "-p", f"insdvl_tuner:{name}"]
+    made = []
+    for node in navigator_nodes(context=graph.context, cli_args=arguments):
+        made.append(graph.add(node))
+    filter_node, tuner = made
+    log = capfd.readouterr().err
+    assert (
+        "another vehicle than the filter's: dvl.mount (0.0, 0.0, 0.0), not (0.0, 0.0, 1.0)" in log
+    )
+    assert "imu.lever_arm" not in log
+    imu = graph.peer.create_publisher(Imu, "imu/data_raw", RELIABLE)
+    dvl = graph.peer.create_publisher(TwistStamped, "dvl/velocity", RELIABLE)
+    graph.until(lambda: imu.get_subscription_count() == 1 and dvl.get_subscription_count() == 2)
+    for k, (f, v) in enumerate(readings(300)):
+        publish(imu, dvl, k, f, v)
+    graph.until(lambda: tuner.outputs["measurement_noise"].count == 15 - 7)
+    assert filter_node.received["measurement_noise"] == 15 - 7
+    assert not [one for one in filter_node.rejected if one.topic == "measurement_noise"]

@@ -2,18 +2,26 @@
 
 import dataclasses
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
 from insdvl.navigation.channels import ImuParameters
 from insdvl.navigation.measurements.dvl import DvlParameters
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import parameter
 
+_Group = TypeVar("_Group", bound="TunedImu | TunedDvl")
+
 
 def _same(group: type[Any], name: str) -> Any:
     """A parameter that is declared as one of the filter's; here it stays as it was at the start."""
     of_filter = next(one for one in dataclasses.fields(group) if one.name == name)
     return field(default=of_filter.default, metadata={**of_filter.metadata, "changeable": False})
+
+
+def _taken(ours: _Group, theirs: Any) -> _Group:
+    """A group with the values that another one has under the same names."""
+    names = [one.name for one in dataclasses.fields(ours)]
+    return dataclasses.replace(ours, **{name: getattr(theirs, name) for name in names})
 
 
 @dataclass(frozen=True)
@@ -80,9 +88,9 @@ class TunerParameters:
 
     def of_vehicle(self, filter_: FilterParameters) -> "TunerParameters":
         """The same for the vehicle that a filter is told of."""
-        imu, dvl = (
-            type(ours)(**{one.name: getattr(theirs, one.name) for one in dataclasses.fields(ours)})
-            for ours, theirs in ((self.imu, filter_.imu), (self.dvl, filter_.dvl))
+        return dataclasses.replace(
+            self,
+            frame_convention=filter_.frame_convention,
+            imu=_taken(self.imu, filter_.imu),
+            dvl=_taken(self.dvl, filter_.dvl),
         )
-        convention = filter_.frame_convention
-        return dataclasses.replace(self, frame_convention=convention, imu=imu, dvl=dvl)
