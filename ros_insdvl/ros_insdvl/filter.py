@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import TwistWithCovarianceStamped
 from nav_msgs.msg import Odometry
-from rclpy.clock import Clock, ClockType
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Imu, NavSatFix
 from std_srvs.srv import Trigger
@@ -49,6 +48,7 @@ from insdvl.timeline.state_file import StateFile
 from insdvl.watch.alignment.check import compile_check
 from insdvl.watch.start import heading_news, is_heading_known, report_of_start
 from ros_insdvl.conversions import message_class, new_message
+from ros_insdvl.discovery import Discovery
 from ros_insdvl.endpoints import Output
 from ros_insdvl.node import InsdvlNode
 from ros_insdvl.parameters import plain
@@ -67,8 +67,8 @@ HELP = Help(
 The filter of the INS/DVL navigation: IMU and DVL in, odometry out.
 
 subscribes  imu/data_raw, dvl/velocity (of any type that dvl.type allows), dvl/velocity_cov,
-            process_noise, set_odometry, gps/fix, and topics that parameters name, such as
-            depth.topic and heading.topic
+            process_noise, measurement_noise, set_odometry, gps/fix, and topics that parameters
+            name, such as depth.topic and heading.topic
 publishes   odometry/filtered, imu/bias, gps/filtered, dvl/innovation, /diagnostics; with a
             heading sensor odometry/global; with publish_tf /tf
 services    ~/reset (std_srvs/Trigger): start again as initial.mode says
@@ -79,29 +79,6 @@ services    ~/reset (std_srvs/Trigger): start again as initial.mode says
         "-r imu/data_raw:=/xsens/imu -r dvl/velocity:=/dvl/twist",
     ),
 )
-
-DISCOVERY_PERIOD = 0.1  # s of the steady clock between two looks for the type of a topic
-
-
-def chosen_type(name: str, topic: Topic, found: set[str]) -> str:
-    """The type of a topic, of those that its publishers have; empty where there is none yet.
-
-    Raises:
-        ParameterError: None of them is accepted, or several are.
-    """
-    accepted = [kind for kind in topic.types if kind in found]
-    if len(accepted) > 1:
-        remedy = f", or set {topic.type_parameter}" if topic.type_parameter else ""
-        raise ParameterError(
-            f"{name} is not received: its publishers have the types {' and '.join(accepted)}; stop "
-            f"all but one{remedy}"
-        )
-    if found and not accepted:
-        raise ParameterError(
-            f"{name} is not received: it has type {', '.join(sorted(found))}, expected one of "
-            f"{', '.join(topic.types)}"
-        )
-    return accepted[0] if accepted else ""
 
 
 class FilterNode(InsdvlNode[FilterParameters]):
@@ -158,8 +135,7 @@ class FilterNode(InsdvlNode[FilterParameters]):
         self._slow_second: int | None = None
         self._start_told = self._heading_unknown = False
         self.create_service(Trigger, "~/reset", self._reset)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._discovery = self.create_timer(DISCOVERY_PERIOD, self._discover, clock=steady)
+        self._discovery = Discovery(self, self._subscribe)
         self._listen()
         if self._waiting is not None:
             kind, qos = message_class(TF_MESSAGE), latched_command_qos()
@@ -244,37 +220,21 @@ class FilterNode(InsdvlNode[FilterParameters]):
 
     def _listen(self) -> None:
         """Subscribe to the inputs; one that may have several types when its type is known."""
-        self._undiscovered: dict[str, Topic] = {}
         for name, topic in self._inputs.topics.items():
             if name in self.inputs:
                 continue
             if len(topic.types) > 1:
-                self._undiscovered[name] = topic
                 self.received.setdefault(name, 0)
+                self._discovery.seek(name, topic)
             else:
                 self._subscribe(name, topic, topic.types[0])
-        self._discovery.reset()
-        self._discover()
+        self._discovery.look()
 
     def _subscribe(self, name: str, topic: Topic, kind: str) -> None:
         rate = self.parameters.imu.rate if name == IMU else 0.0
         qos = command_qos() if topic.command else sensor_qos(rate)
         decode = decode_imu if kind == IMU_TYPE else None
         self.listen(message_class(kind), name, partial(self._receive, name), qos, decode=decode)
-
-    def _discover(self) -> None:
-        """Subscribe to the topics whose publishers show by now which type they have."""
-        self.unheard = {}
-        for name, topic in list(self._undiscovered.items()):
-            found = {info.topic_type for info in self.get_publishers_info_by_topic(name)}
-            try:
-                if kind := chosen_type(name, topic, found):
-                    self._subscribe(name, topic, kind)
-                    del self._undiscovered[name]
-            except ParameterError as error:
-                self.unheard[name] = str(error)
-        if not self._undiscovered:
-            self._discovery.cancel()
 
     def _receive(self, topic: str, message: Any) -> None:
         if self._waiting is not None:

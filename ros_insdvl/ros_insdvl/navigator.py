@@ -9,9 +9,9 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
-from insdvl.messages.topics import IMU, PROCESS_NOISE
+from insdvl.messages.topics import IMU, MEASUREMENT_NOISE, PROCESS_NOISE
 from insdvl.navigation.parameters import FilterParameters
-from insdvl.parameters.declaration import ParameterError
+from insdvl.parameters.declaration import ParameterError, flatten
 from insdvl.tuner.models import ModelError
 from insdvl.tuner.parameters import TunerParameters
 from ros_insdvl.filter import FilterNode
@@ -29,7 +29,8 @@ The filter and the tuner in one process, which receives and decodes the IMU once
 /insdvl_filter and /insdvl_tuner, are as those of the executables filter and tuner, with their
 names, parameters, topics and services.
 
-The filter uses what the tuner learns with process_noise.source 'external'.
+The filter uses what the tuner learns with process_noise.source 'external', and of the DVL with
+dvl.noise_source 'adaptive' or 'learned'.
 """,
     examples=(
         "--params-file vehicle.yaml",
@@ -59,6 +60,10 @@ def navigator_nodes(**options: Any) -> Iterator[InsdvlNode[Any]]:
             "-r insdvl_filter:__node:=NAME or -r insdvl_tuner:__node:=NAME"
         )
     _share(filter_node, IMU, tuner)
+    if MEASUREMENT_NOISE in filter_node.inputs and MEASUREMENT_NOISE in tuner.outputs:
+        _share(tuner, MEASUREMENT_NOISE, filter_node)
+    if tuner.parameters.measurement_noise:
+        _compare_vehicles(filter_node, tuner)
     if PROCESS_NOISE in filter_node.inputs:
         _share(tuner, PROCESS_NOISE, filter_node)
     else:
@@ -66,6 +71,18 @@ def navigator_nodes(**options: Any) -> Iterator[InsdvlNode[Any]]:
         filter_node.get_logger().info(
             f"the tuner's process noise is published and not used: process_noise.source is "
             f"'{source}', not 'external'"
+        )
+
+
+def _compare_vehicles(filter_node: FilterNode, tuner: TunerNode) -> None:
+    """Warn where the two nodes are told of different vehicles."""
+    told, ours = (flatten(node.parameters) for node in (filter_node, tuner))
+    same = flatten(tuner.parameters.of_vehicle(filter_node.parameters))
+    if others := [name for name, value in same.items() if value != ours[name]]:
+        text = ", ".join(f"{name} {ours[name]!r}, not {told[name]!r}" for name in others)
+        tuner.get_logger().warning(
+            f"measurement_noise is learned for another vehicle than the filter's: {text}; put what "
+            "both nodes are to know into the section '/**:' of a parameter file"
         )
 
 

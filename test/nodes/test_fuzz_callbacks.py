@@ -81,7 +81,12 @@ def all_numbers(message: Any) -> list[float]:
     "parameters",
     [
         {},
-        {"process_noise.source": "external", "output_delay": 1.0, "dvl.type": convert.ODOMETRY},
+        {
+            "process_noise.source": "external",
+            "output_delay": 1.0,
+            "dvl.type": convert.ODOMETRY,
+            "dvl.noise_source": "adaptive",
+        },
         {"initial.mode": "topic", "origin.source": "topic", "process_noise.source": "message"},
     ],
 )
@@ -137,6 +142,19 @@ def test_tuner(bench: Any) -> None:
             message.angular_velocity_covariance,
         ):
             assert np.isfinite(field).all() and (field >= 0.0).all()
+    assert b.tested.rejected.total() > 50
+    assert b.tested.statuses()
+
+
+def test_tuner_of_the_dvl(bench: Any) -> None:
+    b = bench(TunerNode, measurement_noise=True)
+    topics = {"imu/data_raw": convert.IMU, "dvl/velocity_cov": convert.TWIST_WITH_COVARIANCE}
+    for odd in (0.1, 0.001):
+        for topic, message in adverse(topics, 2 * COUNT, odd=odd):
+            b.give(topic, message)
+    for message in b.messages("measurement_noise", TwistWithCovarianceStamped):
+        assert np.isfinite(all_numbers(message)).all()
+        assert (np.linalg.eigvalsh(message.twist.covariance.reshape(6, 6)[:3, :3]) > 0.0).all()
     assert b.tested.rejected.total() > 50
     assert b.tested.statuses()
 

@@ -17,7 +17,8 @@ from insdvl.messages.convert import TWIST, TWIST_WITH_COVARIANCE
 from insdvl.messages.drivers import DVL_MSGS
 from insdvl.messages.topics import BY_NAME, DVL
 from insdvl.parameters.declaration import ParameterError
-from ros_insdvl.filter import FilterNode, chosen_type
+from ros_insdvl.discovery import chosen_type
+from ros_insdvl.filter import FilterNode
 from ros_insdvl.status.diagnostics import ERROR, OK, Status
 
 DEADLINE = 120.0  # s; far beyond what any of these waits takes
@@ -115,7 +116,7 @@ def test_a_second_type_on_the_topic_is_an_error_that_names_both(pair: Pair) -> N
 def test_a_type_whose_package_is_not_here_is_an_error_that_names_it(pair: Pair) -> None:
     """A publisher of it cannot be made here, so the graph's answer is made up."""
     pair.filter.get_publishers_info_by_topic = lambda name: [Info()] if name == DVL else []
-    pair.filter._discover()
+    pair.filter._discovery.look()
     assert DVL not in pair.filter.inputs
     text = pair.filter.unheard[DVL]
     assert text.startswith(f"message type {DVL_MSGS} is not installed: no Debian package has it")

@@ -29,6 +29,7 @@ from insdvl.navigation.events import (
     Orientation,
     Origin,
     ProcessNoise,
+    SensorNoise,
 )
 from insdvl.navigation.geometry.earth import MAX_LATITUDE_DEG
 from insdvl.navigation.geometry.frames import Convention, rotation_from_quaternion
@@ -309,6 +310,28 @@ def process_noise(message: Any, convention: Convention) -> ProcessNoise:
         Q_f=rotated("linear_acceleration_covariance"),
         Q_w=rotated("angular_velocity_covariance"),
     )
+
+
+def measurement_noise(message: Any, convention: Convention, of: str) -> SensorNoise:
+    """The covariance of the linear part of a geometry_msgs/TwistWithCovarianceStamped.
+
+    Args:
+        message: The message; its twist tells nothing.
+        convention: Of its axes.
+        of: Name of the measurements whose noise it is.
+
+    Raises:
+        RejectedMessage: ``bad_stamp``, ``no_data`` (-1 or zeros: unknown) or ``bad_covariance``,
+            which one that is not positive definite is too.
+    """
+    name = "twist.covariance"
+    R = covariance(square(message.twist.covariance, 6, name)[:3, :3], 3, name)
+    if R is None:
+        raise RejectedMessage("no_data", f"{name} is unknown (zeros)")
+    values = np.linalg.eigvalsh(R)
+    if values[0] <= ROUNDING * values[-1]:
+        raise RejectedMessage("bad_covariance", f"{name} is singular: {R.tolist()}")
+    return SensorNoise(stamp_ns(message.header), of, convention.body @ R @ convention.body.T)
 
 
 def initial(message: Any, convention: Convention, *, once: bool) -> Initial:

@@ -16,6 +16,7 @@ from insdvl.messages import convert, depth, drivers, dvl, heading
 from insdvl.messages.convert import RejectedMessage
 from insdvl.navigation.events import Event, Initial
 from insdvl.navigation.geometry.frames import CONVENTIONS, Convention
+from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import ParameterError
 
@@ -27,6 +28,7 @@ SET_ODOMETRY = "set_odometry"
 TRUTH = "ground_truth/odometry"
 PROCESS_NOISE = "process_noise"
 TRUE_PROCESS_NOISE = "ground_truth/process_noise"
+MEASUREMENT_NOISE = "measurement_noise"
 FIX = "gps/fix"
 DEPTH = "depth/pressure"
 HEADING = "heading/orientation"
@@ -172,6 +174,10 @@ def _imu_and_heading(message: Any, parameters: FilterParameters) -> Iterator[Eve
 
 def _process_noise(message: Any, parameters: FilterParameters) -> Iterator[Event]:
     yield convert.process_noise(message, _convention(parameters))
+
+
+def _measurement_noise(message: Any, parameters: FilterParameters) -> Iterator[Event]:
+    yield convert.measurement_noise(message, _convention(parameters), Dvl.name)
 
 
 def _initial(message: Any, parameters: FilterParameters, *, once: bool) -> Initial:
@@ -322,6 +328,18 @@ TOPICS: tuple[Topic, ...] = (
     ),
     _of_source(PROCESS_NOISE, "external", "process_noise_topic"),
     _of_source(TRUE_PROCESS_NOISE, "oracle", "true_process_noise_topic"),
+    Topic(
+        MEASUREMENT_NOISE,
+        (convert.TWIST_WITH_COVARIANCE,),
+        _measurement_noise,
+        ("bad_stamp", "no_data", "bad_covariance"),
+        command=True,
+        taken=lambda parameters: parameters.dvl.noise_source != "nominal",
+        frames=_DVL_FRAMES,
+        zero_stamp=ZeroStamp.BEGINNING,
+        time_offset="dvl.time_offset",  # it has the stamps of the measurements that it is of
+        replay_parameter="measurement_noise_topic",
+    ),
     Topic(
         FIX,
         (convert.FIX,),

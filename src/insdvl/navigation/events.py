@@ -1,4 +1,4 @@
-"""What happens to the filter: IMU samples, measurements, process noise, initialisation.
+"""What happens to the filter: IMU samples, measurements, their noise, initialisation.
 
 All in NED and forward-right-down (see geometry/frames.py), stamps in integer nanoseconds. Events
 are ordered by (stamp, kind, payload bytes), which does not depend on when they arrived.
@@ -38,7 +38,8 @@ class Event(ABC):
     Attributes:
         stamp_ns: When.
         kind: Order of events with the same stamp: first the IMU sample, then origin, initial
-            state, settings, process noise and orientation, then the measurements.
+            state, settings, process noise, orientation and measurement noise, then the
+            measurements.
         follows_samples: Whether it is made from the newest samples, some of which may still be on
             their way; it may then be ahead of them.
     """
@@ -195,6 +196,30 @@ class ProcessNoise(Event):
     def limits(self) -> Limits:
         """What no noise is."""
         return (self.Q_f, MAX_VARIANCE), (self.Q_w, MAX_VARIANCE)
+
+
+@dataclass(frozen=True, slots=True)
+class SensorNoise(Event):
+    """Covariance of a sensor's white noise, from the stamp on.
+
+    Attributes:
+        of: Name of the sensor's measurements, such as ``dvl``.
+        R: (3, 3) positive definite, in the axes of the sensor, squares of its unit.
+    """
+
+    of: str
+    R: Array
+
+    kind = 6
+    follows_samples = True
+
+    def payload(self) -> bytes:
+        """The sensor and the covariance."""
+        return self.of.encode() + self.R.tobytes()
+
+    def limits(self) -> Limits:
+        """What no noise is."""
+        return ((self.R, MAX_VARIANCE),)
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,6 +21,7 @@ from insdvl.navigation.events import (
     Orientation,
     Origin,
     ProcessNoise,
+    SensorNoise,
 )
 from insdvl.navigation.gate.gate import Gate
 from insdvl.navigation.geometry.frames import CONVENTIONS, rotation_from_rpy
@@ -111,7 +112,7 @@ class Filter:
             self.models[name] = sensor.model(self.vehicle)
             self._gates[name] = Gate(parameters.gate, name, self.models[name], self.vehicle)
         self._noises = {
-            name: MeasurementNoise(name, model)
+            name: MeasurementNoise(name, model, round(parameters.q_timeout * NS))
             for name, model in self.models.items()
             if model.noise_source != source.NOMINAL
         }
@@ -227,6 +228,11 @@ class Filter:
     def receive_process_noise(self, state: Records, event: ProcessNoise) -> None:
         """The received Q is in effect from its stamp on."""
         self.process_noise.receive(state[0], event)
+
+    def receive_sensor_noise(self, state: Records, event: SensorNoise) -> None:
+        """The received R of a sensor whose noise is estimated is in effect from its stamp on."""
+        if (noise := self._noises.get(event.of)) is not None:
+            noise.receive(state[0], event)
 
     def covariance(self, states: Records) -> Array:
         """Covariance (..., n, n) of the error states in use, of records (...)."""

@@ -93,7 +93,7 @@ class FilterParameters:
     q_timeout: float = parameter(
         5.0,
         "A received Q that is older than this, in the time of the stamps, is replaced by the "
-        "nominal one.",
+        "nominal one, a received R by the filter's own.",
         unit="s",
         above=0.0,
     )

@@ -33,6 +33,9 @@ class ReplayParameters:
     process_noise_topic: str = parameter(
         "/process_noise", "sensor_msgs/Imu, played on process_noise."
     )
+    measurement_noise_topic: str = parameter(
+        "/measurement_noise", "TwistWithCovarianceStamped, played on measurement_noise."
+    )
     ground_truth_topic: str = parameter(
         "/ground_truth/odometry", "nav_msgs/Odometry, played on ground_truth/odometry."
     )

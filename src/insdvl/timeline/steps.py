@@ -5,7 +5,15 @@ from functools import partial
 from typing import Any
 
 from insdvl.arrays import Records
-from insdvl.navigation.events import Imu, Initial, Measurement, Orientation, Origin, ProcessNoise
+from insdvl.navigation.events import (
+    Imu,
+    Initial,
+    Measurement,
+    Orientation,
+    Origin,
+    ProcessNoise,
+    SensorNoise,
+)
 from insdvl.navigation.filter import Filter
 from insdvl.navigation.settings import Settings
 from insdvl.navigation.state import NEVER, State
@@ -37,6 +45,7 @@ class Steps:
             Origin.kind: filter_.locate,
             ProcessNoise.kind: filter_.receive_process_noise,
             Orientation.kind: filter_.hear_orientation,
+            SensorNoise.kind: filter_.receive_sensor_noise,
         }
 
     def fold(self, start: Records) -> None:

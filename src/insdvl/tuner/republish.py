@@ -1,12 +1,15 @@
-"""The tuner on messages: an IMU message in, the process_noise message that it leads to out."""
+"""The tuner on messages: those of the sensors in, those of their noise that they lead to out."""
 
 from typing import Any
 
 import numpy as np
 
-from insdvl.messages import convert
-from insdvl.messages.make import NOT_MEASURED, fill_variances
-from insdvl.navigation.geometry.frames import NED
+from insdvl.messages import convert, dvl
+from insdvl.messages.inputs import frame_id_of
+from insdvl.messages.make import NOT_MEASURED, fill_twist, fill_variances
+from insdvl.navigation.geometry.frames import CONVENTIONS, NED
+from insdvl.tuner.measurement_noise import DvlTuner, TunedSensorNoise
+from insdvl.tuner.parameters import TunerParameters
 from insdvl.tuner.tuner import TunedNoise, Tuner
 
 
@@ -28,3 +31,40 @@ def set_learned(message: Any, tuned: TunedNoise) -> None:
     """
     fill_variances(message, tuned.variances)
     message.orientation_covariance = NOT_MEASURED
+
+
+class DvlMessages:
+    """The tuner of the DVL's noise on messages.
+
+    Attributes:
+        tuner: The tuner.
+    """
+
+    def __init__(self, parameters: TunerParameters) -> None:
+        self.tuner = DvlTuner(parameters)
+        self._convention = CONVENTIONS[parameters.frame_convention]
+        self._frame_id = ""
+
+    def hear_imu(self, message: Any) -> list[TunedSensorNoise]:
+        """Give a sensor_msgs/Imu to the tuner; the new estimates.
+
+        Raises:
+            RejectedMessage: The message cannot be used, see `convert.imu`.
+        """
+        return self.tuner.add_sample(convert.imu(message, self._convention))
+
+    def hear_dvl(self, message: Any) -> list[TunedSensorNoise]:
+        """Give a DVL's message of any type to the tuner; the new estimate, if there is one.
+
+        Raises:
+            RejectedMessage: The message cannot be used, see `dvl.dvl`.
+        """
+        ping = dvl.dvl(message, self._convention)
+        self._frame_id = frame_id_of(message)
+        return self.tuner.add_ping(ping)
+
+    def fill(self, message: Any, tuned: TunedSensorNoise) -> None:
+        """Fill a geometry_msgs/TwistWithCovarianceStamped: its twist is zero, and tells nothing."""
+        message.header.frame_id = self._frame_id
+        body = self._convention.body
+        fill_twist(message, tuned.stamp_ns, np.zeros(3), body @ tuned.R @ body.T)

@@ -37,6 +37,7 @@ ALL = {
     "imu.frame_id": "imu_link",
     "depth.topic": DEPTH,
     "heading.topic": HEADING,
+    "dvl.noise_source": "adaptive",
 }
 
 
@@ -81,6 +82,7 @@ def test_the_initial_topic_is_none_that_has_another_use() -> None:
         ({"process_noise.source": "external"}, {topics.PROCESS_NOISE}),
         ({"process_noise.source": "oracle"}, {topics.TRUE_PROCESS_NOISE}),
         ({"process_noise.source": "message"}, set()),
+        ({"dvl.noise_source": "learned"}, {topics.MEASUREMENT_NOISE}),
         ({"origin.source": "topic"}, {topics.FIX}),
         ({"depth.topic": "bar30/pressure"}, {"bar30/pressure"}),
         ({"heading.topic": "compass/heading"}, {"compass/heading"}),
@@ -91,7 +93,8 @@ def test_what_is_taken_follows_from_the_parameters(values: dict[str, Any], more:
     always = {IMU, DVL, topics.DVL_WITH_COVARIANCE, topics.SET_ODOMETRY}
     inputs = Inputs(build(FilterParameters, values))
     assert set(inputs.topics) == always | more
-    assert set(inputs.required) == more - {"bar30/pressure", "compass/heading"}
+    not_required = {"bar30/pressure", "compass/heading", topics.MEASUREMENT_NOISE}
+    assert set(inputs.required) == more - not_required
     assert inputs.initial_topic == next((name for name in more if "mode" in str(values)), None)
 
 

@@ -20,7 +20,7 @@ from insdvl.arrays import Array, Stamps
 from insdvl.messages.refusals import Refused
 from insdvl.navigation import coordinates
 from insdvl.navigation.error_state import ATTITUDE, POSITION
-from insdvl.navigation.events import NS, Event, Initial, ProcessNoise
+from insdvl.navigation.events import NS, Event, Imu, Initial, ProcessNoise, SensorNoise
 from insdvl.navigation.geometry.frames import ENU, rpy_from_rotation
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.odometry import odometry as odometry_of
@@ -38,12 +38,13 @@ from insdvl.studies.evaluation.metrics import Track, autocorrelation, normalised
 from insdvl.studies.replay import fold as replay
 from insdvl.studies.replay.fold import fold_recording, read
 from insdvl.studies.replay.inputs.injection import Injected, Injection
-from insdvl.studies.replay.inputs.learning import Learned
+from insdvl.studies.replay.inputs.learning import Learned, LearnedOfDvl
 from insdvl.studies.replay.reference import Reference
 from insdvl.studies.replay.result import Output
 from insdvl.studies.replay.scores import report
 from insdvl.timeline.output import FoldResult
 from insdvl.timeline.recorded import fold_arrays
+from insdvl.tuner.measurement_noise import DvlTuner
 from insdvl.tuner.parameters import TunerParameters
 from insdvl.tuner.tuner import Tuner
 
@@ -179,6 +180,26 @@ def test_without_recorded_process_noise_the_tuner_learns_it(
     ]
     events = dvl_events(mission) + told
     direct = fold_arrays(parameters, mission.stamps_ns, mission.f_b, mission.w_ib_b, events)
+    assert_same_states(fold_whole(learned, parameters).states, direct.states)
+
+
+def test_the_tuner_learns_the_noise_of_the_dvl_as_well(
+    recording: list[Raw], mission: Mission
+) -> None:
+    parameters = filter_parameters(dvl__noise_source="adaptive")
+    settings = TunerParameters(measurement_noise=True).of_vehicle(parameters)
+    tuner, expected = DvlTuner(settings), []
+    rows = zip(mission.stamps_ns.tolist(), mission.f_b, mission.w_ib_b, strict=True)
+    inputs = [*(Imu(*row) for row in rows), *dvl_events(mission)]
+    for event in sorted(inputs, key=lambda event: (event.stamp_ns, event.kind)):
+        expected += tuner.add_sample(event) if isinstance(event, Imu) else tuner.add_ping(event)
+    assert len(expected) > 5
+    told = [SensorNoise(one.stamp_ns, "dvl", one.R) for one in expected]
+    learned = list(LearnedOfDvl(Listed(recording), settings))
+    assert [raw for raw in learned if raw.topic != "measurement_noise"] == recording
+    direct = fold_arrays(
+        parameters, mission.stamps_ns, mission.f_b, mission.w_ib_b, [*dvl_events(mission), *told]
+    )
     assert_same_states(fold_whole(learned, parameters).states, direct.states)
 
 

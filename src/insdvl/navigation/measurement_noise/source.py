@@ -13,14 +13,14 @@ import numpy as np
 from insdvl.arrays import Array
 from insdvl.navigation import kalman
 from insdvl.navigation.error_state import VELOCITY
-from insdvl.navigation.events import NS, Measurement
+from insdvl.navigation.events import NS, Measurement, SensorNoise
 from insdvl.navigation.geometry.earth import gravity
 from insdvl.navigation.kalman import Innovated
 from insdvl.navigation.measurement_noise import guard, recursion, window
 from insdvl.navigation.measurement_noise.guard import Correlation
 from insdvl.navigation.measurement_noise.recursion import Belief
 from insdvl.navigation.measurements.base import Linearised, SensorModel
-from insdvl.navigation.state import COUNT, NEVER, NUMBER, STAMP, Field, State
+from insdvl.navigation.state import COUNT, COVARIANCE, NEVER, NUMBER, STAMP, Field, State
 
 #: Sources of a sensor's noise, its parameter ``noise_source``.
 NOMINAL, LEARNED = "nominal", "learned"
@@ -36,8 +36,8 @@ LARGEST, LEAST_FOR_GATE, LARGEST_FOR_GATE = 100.0, 4.0, 9.0
 #: Smallest factor, where there is no floor.
 SMALLEST = 1e-4
 
-#: The group of the state record.
-FIELDS = (
+#: What the filter has learned itself.
+_OWN = (
     Field("factor", NUMBER),  # on the nominal covariance, in effect; 0 before there is any
     # Beliefs, see recursion.py, and stamp of the last measurement that has taught
     Field("steady_shape", NUMBER),
@@ -62,6 +62,24 @@ FIELDS = (
     Field("innovation", NUMBER, (3,)),
 )
 
+#: The group of the state record.
+FIELDS = (
+    *_OWN,
+    # Covariance that was received last, its stamp, and the factor that it is on the nominal
+    # covariance of the first measurement since, 0 before that one
+    Field("received", COVARIANCE, (3, 3)),
+    Field("received_ns", STAMP),
+    Field("received_factor", NUMBER),
+)
+
+
+def smallest_factor(R_0: Array, floor: float) -> float:
+    """Smallest factor on a nominal covariance (m, m) that a floor of the sigmas allows."""
+    variances = np.diagonal(R_0)
+    if not variances.all():
+        return 1.0
+    return min(max(float(np.max(floor**2 / variances)), SMALLEST), LARGEST)
+
 
 class MeasurementNoise:
     """Estimates the noise of one velocity sensor.
@@ -69,21 +87,28 @@ class MeasurementNoise:
     Args:
         name: Of its measurements.
         model: Of the sensor.
+        timeout_ns: A received covariance that is older is not used.
     """
 
-    def __init__(self, name: str, model: SensorModel[Any]) -> None:
+    def __init__(self, name: str, model: SensorModel[Any], timeout_ns: int) -> None:
         self._group = f"{name}_noise"
         self._model = model
+        self._timeout_ns = timeout_ns
         self._learned = model.noise_source == LEARNED
 
     def start(self, s: State) -> None:
-        """Nothing is known; the nominal noise is expected."""
+        """Nothing is known but what was received; the nominal noise is expected."""
         m = s[self._group]
-        for field in FIELDS:
+        for field in _OWN:
             m[field.name] = NEVER if field.holds == STAMP else 0
         m["factor"] = 1.0
         for name in ("steady", "quick"):
             m[f"{name}_shape"] = m[f"{name}_scale"] = recursion.PRIOR
+
+    def receive(self, s: State, event: SensorNoise) -> None:
+        """A covariance takes the place of the window's factor from its stamp on."""
+        m = s[self._group]
+        m["received"], m["received_ns"], m["received_factor"] = event.R, event.stamp_ns, 0.0
 
     # ---------------------------------------------------------------- the pings, carried by the IMU
 
@@ -150,11 +175,7 @@ class MeasurementNoise:
         return max(float(s[self._group]["factor"]), self._smallest(self._model.noise(event)))
 
     def _smallest(self, R_0: Array) -> float:
-        """Smallest factor on a nominal covariance (m, m) that the floor allows."""
-        variances = np.diagonal(R_0)
-        if not variances.all():
-            return 1.0
-        return min(max(float(np.max(self._model.noise_floor**2 / variances)), SMALLEST), LARGEST)
+        return smallest_factor(R_0, self._model.noise_floor)
 
     def _factor(self, s: State, event: Measurement, nominal: Linearised, now: Innovated) -> float:
         m, stamp_ns, measured = s[self._group], event.stamp_ns, now.measured
@@ -167,7 +188,9 @@ class MeasurementNoise:
         if measured.all():
             self._compare(m, stamp_ns, now, R_0)
         low = self._smallest(R_0)
-        of_window = window.mean_factor(m["squares"], int(m["square_count"]))
+        of_window = self._received(m, stamp_ns, R_0, comparable=bool(measured.all()))
+        if of_window is None:
+            of_window = window.mean_factor(m["squares"], int(m["square_count"]))
         least, most = low, LARGEST
         if of_window is not None:
             least = min(max(guard.LEAST * of_window, low), LARGEST)
@@ -181,6 +204,18 @@ class MeasurementNoise:
             self._correlate(m, stamp_ns, now.innovation, np.diagonal(M + factor * own), told)
         m["factor"], m["learned_ns"] = factor, stamp_ns
         return factor
+
+    def _received(self, m: State, stamp_ns: int, R_0: Array, *, comparable: bool) -> float | None:
+        """The received factor; None where none is in effect.
+
+        A covariance is compared with the nominal one of the measurement that has its stamp, or is
+        the first one after it: what a message tells of single measurements stays in theirs.
+        """
+        if m["received_ns"] == NEVER or stamp_ns - int(m["received_ns"]) > self._timeout_ns:
+            return None
+        if m["received_factor"] == 0.0 and comparable:
+            m["received_factor"] = np.trace(np.linalg.solve(R_0, m["received"])) / len(R_0)
+        return float(m["received_factor"]) or None
 
     def _compare(self, m: State, stamp_ns: int, now: Innovated, R_0: Array) -> None:
         """The ping joins the last ones, and their third difference the window."""

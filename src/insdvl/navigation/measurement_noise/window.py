@@ -18,6 +18,8 @@ PAST = 3
 LONGEST = 10.0
 #: Differences that a mean is taken from, at most and at least.
 SIZE, FEWEST = 15, 5
+#: Median of a third of chi-squared with three degrees of freedom.
+MEDIAN = 2.365974 / 3.0
 
 
 def weights(stamps_ns: Stamps) -> Array:
@@ -56,3 +58,11 @@ def difference_square(stamps_ns: Stamps, velocities: Array, covariances: Array) 
 def mean_factor(squares: Array, count: int) -> float | None:
     """Mean of the newest squares in a ring (SIZE,) of which so many have come; None for too few."""
     return float(np.mean(squares[: min(count, SIZE)])) if count >= FEWEST else None
+
+
+def median_factor(squares: Array) -> float | None:
+    """The factor from squares (n,) with the same expectation, some of which may be of wild pings.
+
+    Their median over that of a mean of three squared normal numbers; None for too few.
+    """
+    return float(np.median(squares)) / MEDIAN if len(squares) >= FEWEST else None

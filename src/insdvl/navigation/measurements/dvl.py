@@ -134,7 +134,7 @@ class DvlParameters(SensorParameters):
         "nominal",
         "Where the noise comes from: as dvl.covariance says; or that times a factor from the "
         "innovations, guarded by the pings and the IMU between them (adaptive), or from those "
-        "alone (learned).",
+        "alone (learned). The tuner's measurement_noise takes the place of the latter.",
         choices=("nominal", "adaptive", "learned"),
     )
     noise_floor: float = parameter(

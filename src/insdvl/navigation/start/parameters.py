@@ -23,6 +23,7 @@ _NO_INITIAL_TOPIC = (
     "dvl/velocity_cov",
     "process_noise",
     "ground_truth/process_noise",
+    "measurement_noise",
     "gps/fix",
     "set_odometry",
     "odometry/filtered",

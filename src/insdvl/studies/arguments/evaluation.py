@@ -41,7 +41,15 @@ ROWS = (
 )
 #: Rows that are not among all, and have to be asked for.
 TAUGHT = "taught"
-R_ROWS = ("R nominal", "R adaptive", "R learned", "R oracle", "bands with R adaptive")
+R_ROWS = (
+    "R nominal",
+    "R adaptive",
+    "R learned",
+    "R adaptive received",
+    "R learned received",
+    "R oracle",
+    "bands with R adaptive",
+)
 ERROR_STATES = ("invariant", "ned")
 MIN_DURATION, DURATION = 10, 330  # s
 MIN_RUNS = 2  # fewer give no interval

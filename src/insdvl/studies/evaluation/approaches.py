@@ -112,9 +112,13 @@ R_SOURCES = {
     R_NOMINAL: "nominal",
     "R adaptive": "adaptive",
     "R learned": "learned",
+    "R adaptive received": "adaptive",
+    "R learned received": "learned",
     R_ORACLE: "nominal",
     BANDS_WITH_R: "adaptive",
 }
+#: Those of them that also receive what the tuner learns from the pings.
+R_RECEIVED = ("R adaptive received", "R learned received")
 #: Rows that need no filter of their own: they follow from the truth and the result of the oracle.
 FLOORS = (ZERO_VELOCITY, PERFECT_HEADING)
 
@@ -145,6 +149,7 @@ class Approach:
             `ORACLE`; empty where the filter receives none.
         told_r: Whether the filter receives the effective variances of the pings.
         q_factor: On the variances that it receives.
+        tuned_r: Whether it receives the noise of the pings that the tuner learns.
     """
 
     name: str
@@ -152,6 +157,7 @@ class Approach:
     q_source: str = ""
     told_r: bool = False
     q_factor: float = 1.0
+    tuned_r: bool = False
 
 
 @dataclass(frozen=True)
@@ -217,7 +223,8 @@ def approach(name: str, setting: Setting) -> Approach:
         dvl = replace(parameters.dvl, noise_source=R_SOURCES[name])
         parameters = replace(parameters, dvl=dvl)
         source = BANDS if name == BANDS_WITH_R else ORACLE
-        return Approach(name, parameters, source, name == R_ORACLE, setting.q_factor)
+        received = name in R_RECEIVED
+        return Approach(name, parameters, source, name == R_ORACLE, setting.q_factor, received)
     source = "oracle" if name == ORACLE else "external"
     return Approach(name, setting.filter(source=source), name, told_r=name == ORACLE)
 

@@ -6,7 +6,7 @@ drawn from the filter's P_0. Searches use runs of the split `TUNING`, reports th
 training draws from other streams.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from insdvl.arrays import Array, Stamps
 from insdvl.navigation.coordinates import body_velocity_jacobian, position_error
 from insdvl.navigation.error_state import ACCELEROMETER_BIAS, ATTITUDE, GYROSCOPE_BIAS, POSITION
-from insdvl.navigation.events import NS, Event, Initial, ProcessNoise
+from insdvl.navigation.events import NS, Event, Imu, Initial, ProcessNoise, SensorNoise
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.odometry import position_in_odom
 from insdvl.navigation.parameters import FilterParameters
@@ -45,7 +45,9 @@ from insdvl.studies.evaluation.metrics import (
 from insdvl.studies.evaluation.taught import lessons_of, taught_model
 from insdvl.timeline.output import FoldResult
 from insdvl.timeline.recorded import fold_arrays
+from insdvl.tuner.measurement_noise import DvlTuner
 from insdvl.tuner.offline import Estimator, tuned, tuned_by_own
+from insdvl.tuner.parameters import TunerParameters
 
 #: Splits: first keys of the random streams.
 TEST, TUNING = 2000, 2001
@@ -170,6 +172,7 @@ class Run:
             stamps_ns,
             approach.q_factor * variances,
             told_r=approach.told_r,
+            further=self._tuned_r(approach.parameters) if approach.tuned_r else (),
         )
 
     def fold_received(
@@ -179,6 +182,7 @@ class Run:
         variances: Array,
         *,
         told_r: bool = False,
+        further: Iterable[Event] = (),
     ) -> FoldResult:
         """The mission through a filter that receives variances (K, 6) from stamps (K,) on.
 
@@ -191,7 +195,7 @@ class Run:
         ]
         pings = zip(m.dvl_stamps_ns.tolist(), m.v_d, m.r, strict=True)
         measured = [Dvl(stamp, v_d, np.diag(r) if told_r else None) for stamp, v_d, r in pings]
-        events = [self._initial, *measured, *received]
+        events = [self._initial, *measured, *received, *further]
         every = round(parameters.imu.rate) // _NEES_RATE
         return fold_arrays(parameters, m.stamps_ns, m.f_b, m.w_ib_b, events, every)
 
@@ -208,6 +212,16 @@ class Run:
         """
         m = self.mission
         return tuned(m.stamps_ns, self._samples, estimate, window, rate, MAX_GAP_NS, history)
+
+    def _tuned_r(self, parameters: FilterParameters) -> list[SensorNoise]:
+        """What the tuner learns of the pings' noise, for a filter with these parameters."""
+        tuner, m = DvlTuner(TunerParameters().of_vehicle(parameters)), self.mission
+        found, pings = [], list(zip(m.dvl_stamps_ns.tolist(), m.v_d, strict=True))
+        for stamp_ns, f_b, w_ib_b in zip(m.stamps_ns.tolist(), m.f_b, m.w_ib_b, strict=True):
+            found += tuner.add_sample(Imu(stamp_ns, f_b, w_ib_b))
+            while pings and pings[0][0] <= stamp_ns:
+                found += tuner.add_ping(Dvl(*pings.pop(0)))
+        return [SensorNoise(one.stamp_ns, Dvl.name, one.R) for one in found]
 
     @property
     def _samples(self) -> Array:

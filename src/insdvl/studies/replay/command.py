@@ -10,7 +10,7 @@ from typing import Any
 
 from insdvl.commands import INTERRUPTED
 from insdvl.jobs.progress import Progress
-from insdvl.messages.topics import PROCESS_NOISE
+from insdvl.messages.topics import MEASUREMENT_NOISE, PROCESS_NOISE
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import ParameterError, flatten
 from insdvl.parameters.files import ParameterFile
@@ -28,7 +28,7 @@ from insdvl.studies.replay.fold import Replayed, fold_recording, read
 from insdvl.studies.replay.inputs.between import Between
 from insdvl.studies.replay.inputs.extrinsics import with_extrinsics
 from insdvl.studies.replay.inputs.injection import Injected, Injection
-from insdvl.studies.replay.inputs.learning import Learned
+from insdvl.studies.replay.inputs.learning import Learned, LearnedOfDvl
 from insdvl.studies.replay.inputs.watched import Watched, interruption
 from insdvl.studies.replay.result import Output, new_folder
 from insdvl.studies.replay.scores import report
@@ -135,6 +135,7 @@ def _navigated(
     if injection is not None:
         recording = Injected(recording, injection)
     recording, q_from = _with_process_noise(recording, filter_, tuner)
+    recording, r_from = _with_measurement_noise(recording, filter_, tuner)
     end = min(stored.duration, arguments.end or math.inf)
     progress = Progress("seconds", max(round(end - (arguments.begin or 0.0)), 1))
     recording = Watched(recording, progress if sys.stderr.isatty() else None, ends)
@@ -152,6 +153,7 @@ def _navigated(
             "interrupted": ends(),
             "configuration": configuration.text,
             "process_noise": q_from,
+            "measurement_noise": r_from,
             "injected_noise": asdict(injection) if injection else None,
             "parameters": {"insdvl_filter": flatten(filter_), "insdvl_tuner": flatten(tuner)},
             "verdict": judgement.numbers,
@@ -250,6 +252,23 @@ def _with_process_noise(
             f"Hz, got {tuner.rate!r}: q_timeout of insdvl_filter is {filter_.q_timeout:g} s"
         )
     return Learned(recording, tuner), f"external, learned by {tuner.estimator or tuner.model}"
+
+
+def _with_measurement_noise(
+    recording: Recording, filter_: FilterParameters, tuner: TunerParameters
+) -> tuple[Recording, str]:
+    """The recording with the R that the tuner learns, where that is asked for; and its source.
+
+    The vehicle is that of the filter.
+    """
+    source = filter_.dvl.noise_source
+    if source == "nominal":
+        return recording, source
+    if MEASUREMENT_NOISE in recording.topics:
+        return recording, f"{source}, recorded"
+    if not (tuner.measurement_noise and tuner.enabled):
+        return recording, source
+    return LearnedOfDvl(recording, tuner.of_vehicle(filter_)), f"{source}, learned by the tuner"
 
 
 def _check_places(arguments: argparse.Namespace) -> Path | None:

@@ -1,0 +1,181 @@
+"""A covariance of the DVL's noise that is received: when it is in effect, and its bounds."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from insdvl.navigation.events import NS, Event, Imu, SensorNoise, refusal
+from insdvl.navigation.measurement_noise import guard
+from insdvl.navigation.measurement_noise.source import LARGEST
+from insdvl.navigation.measurements.dvl import Dvl
+from insdvl.navigation.parameters import (
+    DvlParameters,
+    FilterParameters,
+    GateParameters,
+    OriginParameters,
+    ProcessNoiseParameters,
+)
+from insdvl.simulation.initial_errors import P_0, drawn_initial
+from insdvl.simulation.mission import Mission, simulate
+from insdvl.simulation.noise import constant
+from insdvl.simulation.sensors.dvl import DvlModel
+from insdvl.simulation.trajectories import AUV
+from insdvl.timeline.fold import Fold
+from insdvl.timeline.recorded import fold_arrays
+from insdvl.timeline.state_file import decode, encode
+
+SEED = 161_803
+VARIANCES = np.array([1e-4] * 3 + [1e-8] * 3)
+STD = 0.02  # m/s, of the DVL, true and nominal
+SOURCES = ("adaptive", "learned")
+AT = 6 * NS + NS // 20  # between two pings
+TIMEOUT = 3.0
+
+
+def parameters(source: str, q_factor: float = 1.0) -> FilterParameters:
+    q = q_factor * VARIANCES
+    return FilterParameters(
+        frame_convention="ned",
+        q_timeout=TIMEOUT,
+        dvl=DvlParameters(noise_std=(STD,) * 3, noise_source=source, noise_floor=0.002),
+        gate=GateParameters(enabled=False),
+        process_noise=ProcessNoiseParameters(
+            accelerometer_variance=tuple(q[:3].tolist()), gyroscope_variance=tuple(q[3:].tolist())
+        ),
+        initial=P_0,
+        origin=OriginParameters(height=float(AUV.h_0)),
+    )
+
+
+def mission(duration: float = 12.0) -> Mission:
+    model = DvlModel(noise_std=(STD,) * 3, rate=5.0)
+    return simulate(AUV, constant(VARIANCES), seed=SEED, duration=duration, dvl=model)
+
+
+def pings(m: Mission) -> list[Dvl]:
+    return [Dvl(stamp, v_d) for stamp, v_d in zip(m.dvl_stamps_ns.tolist(), m.v_d, strict=True)]
+
+
+def samples(m: Mission) -> list[Imu]:
+    rows = zip(m.stamps_ns.tolist(), m.f_b, m.w_ib_b, strict=True)
+    return [Imu(stamp, f, w) for stamp, f, w in rows]
+
+
+def received(factor: float, stamp_ns: int = AT) -> SensorNoise:
+    return SensorNoise(stamp_ns, "dvl", factor * STD**2 * np.eye(3))
+
+
+def start(m: Mission, settings: FilterParameters) -> Event:
+    return drawn_initial(m.initial, settings.initial, np.random.default_rng([SEED, 1]))
+
+
+def factors(settings: FilterParameters, m: Mission, *events: Event) -> np.ndarray:
+    """The factor in effect at the end of each sample."""
+    result = fold_arrays(settings, m.stamps_ns, m.f_b, m.w_ib_b, [start(m, settings), *events])
+    return np.array(result.states["dvl_noise"]["factor"])
+
+
+def test_it_is_in_effect_from_its_stamp_until_the_timeout() -> None:
+    """Of two pings before and behind the stamp the first has the filter's own window."""
+    m, settings = mission(), parameters("learned")
+    own = factors(settings, m, *pings(m))
+    told = factors(settings, m, *pings(m), received(3.0))
+    before = m.stamps_ns < AT + NS // 10  # the next ping is at 6.2 s
+    np.testing.assert_array_equal(told[before], own[before])
+    during = (m.stamps_ns >= AT + NS // 5) & (m.stamps_ns < AT + TIMEOUT * NS)
+    np.testing.assert_allclose(told[during], 3.0)
+    after = m.stamps_ns > AT + (TIMEOUT + 0.3) * NS
+    # The corrections of the two have turned the pings a little differently.
+    np.testing.assert_allclose(told[after], own[after], rtol=1e-2)
+
+
+def test_of_the_stamp_of_a_ping_it_is_that_ping_s() -> None:
+    m, settings = mission(8.0), parameters("learned")
+    stamp = int(m.dvl_stamps_ns[20])
+    told = factors(settings, m, *pings(m), received(3.0, stamp))
+    assert told[np.searchsorted(m.stamps_ns, stamp)] == pytest.approx(3.0)
+
+
+def test_what_a_message_tells_of_single_pings_stays_in_theirs() -> None:
+    """Twice the nominal covariance of its ping, and of each that follows twice its own."""
+    m, settings = mission(8.0), parameters("learned")
+    R = [STD**2 * (1.0 + k % 3) * np.eye(3) for k in range(len(m.v_d))]
+    measured = [replace(ping, R=R_0) for ping, R_0 in zip(pings(m), R, strict=True)]
+    event = SensorNoise(measured[20].stamp_ns, "dvl", 2.0 * R[20])
+    told = factors(settings, m, *measured, event)
+    since = m.stamps_ns - event.stamp_ns
+    np.testing.assert_allclose(told[(since >= 0) & (since < TIMEOUT * NS)], 2.0)
+
+
+@pytest.mark.parametrize(("factor", "limit"), [(1e-6, 0.01), (1e6, LARGEST)])
+def test_it_has_the_bounds_of_the_own_estimate(factor: float, limit: float) -> None:
+    """A floor of 2 mm/s where 20 are nominal."""
+    m = mission(8.0)
+    told = factors(parameters("learned"), m, *pings(m), received(factor))
+    assert told[-1] == pytest.approx(limit)
+
+
+@pytest.mark.parametrize("q_factor", [1e-3, 1e3])
+def test_beside_a_wrong_q_it_is_what_the_adaptive_estimate_goes_to(q_factor: float) -> None:
+    m, settings = mission(20.0), parameters("adaptive", q_factor)
+    events = [received(1.0, AT + k * NS) for k in range(14)]
+    told = factors(settings, m, *pings(m), *events)[m.stamps_ns > AT + NS]
+    assert (told >= guard.LEAST).all() and (told <= guard.MOST).all()
+    if q_factor < 1.0:  # without the guard the innovations make it tens of times the true one
+        assert told[-1] == pytest.approx(1.0, rel=0.1)
+
+
+def test_a_filter_of_nominal_noise_does_not_take_it() -> None:
+    m, settings = mission(8.0), parameters("nominal")
+    results = [
+        fold_arrays(settings, m.stamps_ns, m.f_b, m.w_ib_b, [start(m, settings), *pings(m), *some])
+        for some in ([], [received(3.0, int(m.dvl_stamps_ns[20]))])
+    ]
+    np.testing.assert_array_equal(results[0].track["v_n"], results[1].track["v_n"])
+
+
+@pytest.mark.parametrize("source", SOURCES)
+def test_late_doubled_and_resumed_are_the_offline_run_to_the_bit(source: str) -> None:
+    m, settings = mission(9.0), parameters(source)
+    noise = [received(2.0), received(0.5, AT + NS)]
+    expected = fold_arrays(
+        settings, m.stamps_ns, m.f_b, m.w_ib_b, [start(m, settings), *pings(m), *noise]
+    ).states[-1:]
+
+    late = Fold(settings, len(m.stamps_ns))
+    arrivals = [(event.stamp_ns, event) for event in [*samples(m), *pings(m)]]
+    arrivals += [(event.stamp_ns + delay, event) for event in noise for delay in (0, NS, NS + 1)]
+    late.add(start(m, settings))
+    for _, event in sorted(arrivals, key=lambda pair: pair[0]):
+        late.add(event)
+    assert late.latest.tobytes() == expected.tobytes()
+
+    half = AT + NS // 2  # the first one is in effect
+    events = sorted([*samples(m), *pings(m), *noise], key=lambda event: event.stamp_ns)
+    first = Fold(settings, len(m.stamps_ns))
+    first.add(start(m, settings))
+    for event in events:
+        if event.stamp_ns <= half:
+            first.add(event)
+    record = decode(encode(first.latest, settings), first.filter)
+    second = Fold(settings, len(m.stamps_ns))
+    second.resume(record, settings)
+    for event in events:
+        if event.stamp_ns > half:
+            second.add(event)
+    assert second.latest.tobytes() == expected.tobytes()
+
+
+def test_a_restart_of_the_state_keeps_it() -> None:
+    """What was received is of the sensor, not of the state."""
+    m, settings = mission(9.0), parameters("learned")
+    again = replace(start(m, settings), stamp_ns=AT + NS // 2)
+    told = factors(settings, m, *pings(m), received(3.0), again)
+    assert told[m.stamps_ns < AT + TIMEOUT * NS][-1] == pytest.approx(3.0)
+
+
+def test_numbers_that_no_noise_has_are_refused() -> None:
+    assert refusal(SensorNoise(0, "dvl", np.full((3, 3), np.nan))) == "not_finite"
+    assert refusal(SensorNoise(0, "dvl", 1e13 * np.eye(3))) == "out_of_range"
+    assert refusal(received(1.0)) is None
