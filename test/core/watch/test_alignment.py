@@ -13,6 +13,7 @@ from insdvl.navigation.events import NS, Event, Imu
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build
+from insdvl.simulation.grades import GRADES
 from insdvl.simulation.mission import ImuModel, Mission, simulate
 from insdvl.simulation.noise import SCENARIOS, constant
 from insdvl.simulation.sensors.dvl import DvlModel
@@ -196,6 +197,24 @@ def test_errors_of_the_sensors_are_no_wrong_axes() -> None:
         watch.add(event)
         assert k % 50 or not watch.findings()  # a finding takes 10 s of samples
     assert 8 <= len(watch._motions) <= 12
+
+
+@pytest.mark.parametrize(
+    ("trajectory", "seed"),
+    [
+        pytest.param(trajectory, seed, marks=[] if first else [pytest.mark.long])
+        for number, trajectory in enumerate((BASELINE["lawn_mower"], AUV, *BASELINE.values()))
+        for seed in (1, 2, 3)
+        for first in [number == 0 and seed == 1]
+    ],
+)
+def test_an_error_of_the_dvl_that_lasts_is_no_wrong_axis(trajectory: Any, seed: int) -> None:
+    """Of a good DVL: 3 mm/s of white noise, and 10 mm/s, its floor, over 20 s."""
+    grade = GRADES["tactical"]
+    dvl = DvlModel(rate=5.0, noise_std=(0.003,) * 3, bias_std=0.01, bias_time_constant=20.0)
+    noise = constant(grade.variances())
+    mission = simulate(trajectory, noise, seed=seed, duration=150.0, imu=grade.imu(), dvl=dvl)
+    assert not check(events(mission))
 
 
 def test_sensors_without_any_noise_are_not_accused_of_rounding() -> None:

@@ -143,6 +143,8 @@ class AlignmentCheck:
             miswired(self._terms.C_b_i),
             parameters.initial.accelerometer_bias_std,
             parameters.initial.gyroscope_bias_std,
+            parameters.dvl.noise_floor,
+            parameters.dvl.bias_time_constant,
         )
 
         self._stamps = np.empty(_STEPS, np.int64)  # ends of intervals

@@ -129,6 +129,8 @@ class Search:
         causes: The miswired sensors that are tried.
         accelerometer_bias: One sigma [m/s^2].
         gyroscope_bias: One sigma [rad/s].
+        lasting: One sigma of the errors of a right DVL that last [m/s].
+        lasts: Their time constant [s].
     """
 
     def __init__(
@@ -137,10 +139,13 @@ class Search:
         causes: Sequence[Miswired],
         accelerometer_bias: float,
         gyroscope_bias: float,
+        lasting: float,
+        lasts: float,
     ) -> None:
         self.known = known
         self.causes = causes
         self._biases = (accelerometer_bias, gyroscope_bias)
+        self._lasting, self._lasts = lasting, lasts
 
     def _prior(self, cause: Cause | Miswired) -> Prior:
         return cause.prior(*self._biases)
@@ -275,14 +280,19 @@ class Search:
         """All explanations, the most probable one first.
 
         What is noise of the IMU in any case is no reason to prefer a cause that makes less of it,
-        such as a gyroscope whose rates are too large, or a DVL that reads too little; nor is what
-        a turn of the DVL makes of the noise of an axis that measures nothing.
+        such as a gyroscope whose rates are too large, or a DVL that reads too little; nor is an
+        error of a right DVL that lasts; nor what a turn of the DVL makes of the noise of an axis
+        that measures nothing.
         """
         v_d = np.concatenate([m.window.v_d for m in motions])
         square = float((v_d**2).sum(axis=1).mean())
         least = np.array([m.noise for m in motions])
+        lasting = self._lasting**2 * np.array(
+            [m.bases.of_lasting(m.window.t, self._lasts) for m in motions]
+        )
         noises = {
-            cause: fit.noise.at_least(least, self._share(cause, fit)) for cause, fit in fits.items()
+            cause: fit.noise.at_least(least, self._share(cause, fit), lasting)
+            for cause, fit in fits.items()
         }
 
         def cost(cause: Cause | Miswired, excess: float) -> float:

@@ -182,6 +182,15 @@ class Bases:
         walk, integral = a, a**2 * (3.0 * b - a) / 6.0
         return self._powers(walk), self._powers(integral)
 
+    def of_lasting(self, t: Array, time_constant: float) -> Array:
+        """Variances (4,) in each slow degree of an error of variance one that lasts.
+
+        Args:
+            t: (K,) times [s].
+            time_constant: Of a first-order Gauss-Markov process [s].
+        """
+        return self._powers(np.exp(-np.abs(t - t[:, None]) / time_constant))[:-1]
+
     def _powers(self, covariance: Array) -> Array:
         """Variances (5,) of a noise (K,) with a covariance (K, K)."""
         slow = np.einsum("kd,kl,ld->d", self.slow, covariance, self.slow)
@@ -226,12 +235,14 @@ class Noise:
         """(W,) of the products."""
         return 1.0 / (self.variance * self.excess)
 
-    def at_least(self, imu: Array, share: float) -> "Noise":
-        """With the noise of the IMU in it, whether or not it shows.
+    def at_least(self, imu: Array, share: float, lasting: Array) -> "Noise":
+        """With what is in it in any case, whether or not it shows.
 
         Args:
             imu: (W, 5) variances in the slow degrees and in the others by the noise of the IMU.
             share: Of the IMU's noise that is in the residuals.
+            lasting: (W, 4) variances in the slow degrees by errors of a DVL that last.
         """
         rest = self.rest + (1.0 - share**2) * imu[:, -1]
-        return Noise(self.dof, np.maximum(self.slow, imu[:, :-1] + rest[:, None]), rest)
+        slow = np.maximum(self.slow, imu[:, :-1] + lasting + rest[:, None])
+        return Noise(self.dof, slow, rest)
