@@ -53,6 +53,15 @@ def as_recorded(metric: str) -> float:
     return float(ratios["hcf default"][metric][0])
 
 
+def taught_prediction() -> float:
+    """RMS of the error of all predictions after 30 s, over that of the hand-set constant."""
+    squares = {
+        name: sum(one["error 30 s"] ** 2 * one["count 30 s"] for one in rows.values())
+        for name, rows in numbers()["withheld"]["rows"].items()
+    }
+    return float((squares["taught, no floor"] / squares["hand-set"]) ** 0.5)
+
+
 def heading_lost_after() -> float:
     """Seconds until sqrt(eps t^3 / 3) is one radian, with eps = 0.001."""
     return (3.0 / 0.001) ** (1.0 / 3.0)
@@ -92,6 +101,7 @@ ANSWERS = {
     "and N of that of the best constant with noise injected": lambda: (
         injected("sensor", "best constant"),
     ),
+    "without it with N of the error of the hand-set one": lambda: (taught_prediction(),),
     "drift by one radian in N s": lambda: (heading_lost_after(),),
 }
 
