@@ -58,6 +58,10 @@ def test_the_picture_has_the_ratios_of_the_tables() -> None:
     ratios = drawn["wide, simulated"]
     assert ratios["hcf default"] == tuple(learned["ratio_to"]["oracle"]["body_rmse"])
     assert all(low <= middle <= high for middle, low, high in ratios.values())
+    bands = row(found["realistic-spectrum"], "bands")
+    assert bands is not None
+    of_oracle = tuple(bands["ratio_to"]["oracle"]["body_rmse"])
+    assert drawn["realistic, simulated"]["bands"] == of_oracle
     assert not groups({})
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from insdvl.extras import extra
 from insdvl.files import write
+from insdvl.simulation.drawn.scenarios import DRAWN
 from insdvl.simulation.noise import SCENARIOS
 from insdvl.studies.results.targets import Documents, row
 
@@ -18,13 +19,14 @@ with extra("plot"):
 #: Rows of the picture and their words and colours (Okabe and Ito), in the order of the legend.
 _ROWS = {
     "hcf default": ("learned", "#0072b2"),
+    "bands": ("learned from spectra", "#56b4e9"),
     "closed form": ("closed form, the variance of a window", "#009e73"),
     "adaptive variational": ("variational Bayes, from innovations", "#cc79a7"),
     "best constant": ("best constant", "#e69f00"),
     "constant 0.01/0.001": ("constant 0.01/0.001, as published", "#d55e00"),
 }
 _TICKS = (0.9, 1.0, 1.1, 1.2, 1.5, 2.0, 3.0, 5.0)
-_STEP = 0.16  # between rows, of the distance of two groups
+_STEP = 0.14  # between rows, of the distance of two groups
 
 Ratio = tuple[float, float, float]
 
@@ -36,10 +38,11 @@ def groups(documents: Documents) -> dict[str, dict[str, Ratio]]:
         documents: Numbers by part; a part that is missing has no group.
     """
     found: dict[str, dict[str, Ratio]] = {}
-    for scenario in SCENARIOS:
-        document = documents.get(f"{scenario}-calibrated")
-        if document:
-            found[f"{scenario}, simulated"] = _of_comparison(document)
+    parts = {f"{scenario}-calibrated": scenario for scenario in SCENARIOS}
+    parts |= {f"{scenario}-spectrum": scenario for scenario in DRAWN}
+    for part, scenario in parts.items():
+        if part in documents:
+            found[f"{scenario}, simulated"] = _of_comparison(documents[part])
     if "vehicle" in documents:
         for name, injected in documents["vehicle"]["injections"].items():
             ratios = injected["ratio_to"]["told"]
