@@ -14,23 +14,22 @@ import numpy as np
 
 from insdvl.arrays import Array
 from insdvl.kernels import kernel
-from insdvl.tuner.features.bands import FAST_EDGES, HISTORY, SLOW_EDGES, WINDOW, band_powers
+from insdvl.tuner.features.bands import FAST, HISTORY, SLOW, SMALLEST_RATIO, WINDOW, band_powers
 from insdvl.tuner.windows import CHANNELS
 
-_FAST, _SLOW = len(FAST_EDGES) - 1, len(SLOW_EDGES) - 1
 _QUANTILES = (0.1, 0.25, 0.5)  # of the frequencies of ``near``
-_ORDERS = (0, 1, 2, 5, _FAST + _SLOW - 1)  # of the bands of ``near`` and ``slow``, ascending
+_ORDERS = (0, 1, 2, 5, FAST + SLOW - 1)  # of the bands of ``near`` and ``slow``, ascending
 
 #: Bands of a channel that the other channels are told.
-TOLD = (*(f"near_{b}" for b in range(_FAST)), *(f"slow_{b}" for b in range(_SLOW)))
+TOLD = (*(f"near_{b}" for b in range(FAST)), *(f"slow_{b}" for b in range(SLOW)))
 _OWN_NAMES = (
     *TOLD,
-    *(f"now_{b}" for b in range(_FAST)),
+    *(f"now_{b}" for b in range(FAST)),
     "variance_now",
     "variance_near",
     *(f"quantile_{round(100 * level)}" for level in _QUANTILES),
     *(f"band_order_{order}" for order in _ORDERS),
-    *(f"slope_{b}" for b in range(_FAST + _SLOW - 1)),
+    *(f"slope_{b}" for b in range(FAST + SLOW - 1)),
 )
 BAND_FEATURE_NAMES = (
     *_OWN_NAMES,
@@ -41,7 +40,6 @@ BAND_FEATURE_NAMES = (
     "history",
 )
 _GREATEST = BAND_FEATURE_NAMES.index(f"band_order_{_ORDERS[-1]}")
-_SMALLEST_RATIO = 1e-12  # keeps the logarithm of an empty band finite
 
 
 def band_features(windows: Array) -> tuple[Array, Array]:
@@ -65,8 +63,8 @@ def band_features(windows: Array) -> tuple[Array, Array]:
     _band_features(
         np.hstack([bands.near, bands.slow, bands.now, bands.variance, quantiles]),
         np.array(_ORDERS),
-        _FAST,
-        _FAST + _SLOW,
+        FAST,
+        FAST + SLOW,
         X,
         scale,
     )
@@ -100,7 +98,7 @@ def _band_features(
             continue
         f = X[m]
         for p in range(P):
-            f[p] = np.log(max(powers[m, p] / scale[m], _SMALLEST_RATIO))
+            f[p] = np.log(max(powers[m, p] / scale[m], SMALLEST_RATIO))
         ascending = np.sort(f[:bands])
         for k in range(orders.size):
             f[P + k] = ascending[orders[k]]

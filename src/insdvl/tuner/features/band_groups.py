@@ -9,22 +9,19 @@ vehicle that it was made for.
 import numpy as np
 
 from insdvl.arrays import Array
-from insdvl.tuner.features.bands import FAST_EDGES, SLOW_EDGES, band_powers
+from insdvl.tuner.features.bands import FAST, SLOW, SMALLEST_RATIO, band_powers
 
-_FAST = len(FAST_EDGES) - 1
 _FROM_SINGLE = 2  # the first band above steering and waves, 3.25 Hz on at 100 Hz
 
 #: Groups: bands of ``near``, or of ``slow``; frequencies at 100 Hz.
 GROUPS = {
     "slow_0.1_0.4": ("slow", slice(0, 2)),
-    "slow_0.4_1.6": ("slow", slice(2, len(SLOW_EDGES) - 1)),
+    "slow_0.4_1.6": ("slow", slice(2, SLOW)),
     "near_1_3.25": ("near", slice(0, _FROM_SINGLE)),
     "near_3.25_5.75": ("near", slice(_FROM_SINGLE, _FROM_SINGLE + 1)),
-    "near_5.75_50": ("near", slice(_FROM_SINGLE + 1, _FAST)),
+    "near_5.75_50": ("near", slice(_FROM_SINGLE + 1, FAST)),
 }
 GROUP_FEATURE_NAMES = (*GROUPS, "change", "level")
-
-_SMALLEST_RATIO = 1e-12  # keeps the logarithm of an empty band finite
 
 
 def group_features(windows: Array) -> tuple[Array, Array]:
@@ -42,13 +39,13 @@ def group_features(windows: Array) -> tuple[Array, Array]:
     noisy = scale > 0.0
     unit = np.where(noisy, scale, 1.0)[:, None]
     log = {
-        name: np.log(np.maximum(getattr(bands, name) / unit, _SMALLEST_RATIO))
+        name: np.log(np.maximum(getattr(bands, name) / unit, SMALLEST_RATIO))
         for name in ("now", "near", "slow")
     }
     X = np.empty((len(windows), len(GROUP_FEATURE_NAMES)))
     for k, (source, members) in enumerate(GROUPS.values()):
         X[:, k] = log[source][:, members].mean(axis=1)
-    fast = slice(_FROM_SINGLE, _FAST)
+    fast = slice(_FROM_SINGLE, FAST)
     X[:, len(GROUPS)] = (log["now"] - log["near"])[:, fast].mean(axis=1)
     X[:, -1] = np.log(unit[:, 0])
     X[~noisy] = 0.0

@@ -40,6 +40,10 @@ DEGREE = 5
 #: Edges of the bands in units of the sample rate.
 FAST_EDGES = (0.01, 0.0175, 0.0325, 0.0575, 0.1025, 0.1775, 0.2975, 0.5)
 SLOW_EDGES = (0.001, 0.002, 0.004, 0.008, 0.016)
+#: Numbers of bands.
+FAST, SLOW = len(FAST_EDGES) - 1, len(SLOW_EDGES) - 1
+#: Of powers, so that the logarithm of an empty band is finite.
+SMALLEST_RATIO = 1e-12
 
 
 class Bands(NamedTuple):
