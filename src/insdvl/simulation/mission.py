@@ -12,6 +12,7 @@ from insdvl.arrays import Array, Stamps
 from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.frames import CONVENTIONS
 from insdvl.parameters.declaration import ParameterError
+from insdvl.simulation.drawn.imu_errors import ImuErrors
 from insdvl.simulation.drawn.scenarios import Disturbances, Scenario
 from insdvl.simulation.motion import Trajectory, Truth
 from insdvl.simulation.noise import NoiseProfile, ProfileFactory
@@ -25,6 +26,26 @@ from insdvl.simulation.trajectories import trajectory_named
 #: Largest number of samples of a mission: 13 hours at 100 Hz. All samples are computed before the
 #: first is sent, and take half a kilobyte each.
 MAX_SAMPLES = 5_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """What the noise of a mission is made of, for a filter that models each part.
+
+    Errors of scale and alignment are in none of these.
+
+    Attributes:
+        white: (N, 6) variance of the white part in each sample, channels as in `noise`.
+        imu: What is added to it; None for white noise alone.
+        white_r: (M, 3) variances of the white part of the pings, without those in outages
+            [(m/s)^2].
+        dvl: The instrument, with the slow error of its readings.
+    """
+
+    white: Array
+    imu: ImuErrors | None
+    white_r: Array
+    dvl: DvlModel
 
 
 @dataclass(frozen=True)
@@ -44,6 +65,7 @@ class Mission:
             not white, that of the effective density (docs/explanation/effective-noise.md).
         bias: (N, 6) bias in each sample.
         profile: The profile of these variances.
+        noise: What the noise is made of.
         dvl_stamps_ns: (M,) stamps of the DVL, without those in outages.
         v_d: (M, 3) DVL readings, in DVL axes [m/s].
         r: (M, 3) variances of their noise, effective ones where it is not white; those of
@@ -65,6 +87,7 @@ class Mission:
     q: Array
     bias: Array
     profile: NoiseProfile
+    noise: Noise
     dvl_stamps_ns: Stamps
     v_d: Array
     r: Array
@@ -192,7 +215,7 @@ def simulate(
     profile = noise(duration, profile_rng)
     # A sample has the variance that holds where its interval begins.
     begins = np.concatenate([[0.0], elapsed_ns[:-1] / NS])
-    q = profile.variance_at(begins)
+    q = white = profile.variance_at(begins)
     bias = biases(
         elapsed_ns.size,
         dt,
@@ -213,7 +236,7 @@ def simulate(
     dvl_error, is_outlier = dvl.errors(pings.t, dvl_rng, factors)
     seen = dvl.available(pings.t)
     v_d = ideal_pings(trajectory, pings.t, dvl, earth_rate=earth_rate) + dvl_error
-    r = np.tile(np.square(dvl.noise_std), (pings.t.size, 1))
+    r = white_r = np.outer(factors**2, np.square(dvl.noise_std))
     if drawn is not None:
         profile, r = drawn.effective(profile, factors, dvl, imu.rate, duration)
         q = profile.variance_at(begins)
@@ -235,6 +258,7 @@ def simulate(
         q=q,
         bias=bias,
         profile=profile,
+        noise=Noise(white, None if drawn is None else drawn.imu, white_r[seen], dvl),
         dvl_stamps_ns=start_ns + ping_ns[seen],
         v_d=v_d[seen],
         r=r[seen],

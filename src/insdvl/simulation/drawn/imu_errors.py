@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from insdvl.arrays import Array
 from insdvl.simulation.drawn.spectrum import Spectrum, flicker
@@ -22,6 +23,21 @@ class Line:
     """
 
     frequency: float
+    variances: Array
+
+
+@dataclass(frozen=True, eq=False)
+class FirstOrder:
+    """The first-order (Gauss-Markov) errors that are added up in the noise of an IMU.
+
+    Attributes:
+        channels: (M,) the channel of each.
+        time_constants: (M,) [s].
+        variances: (K, M) stationary variances at K times [unit^2].
+    """
+
+    channels: NDArray[np.intp]
+    time_constants: Array
     variances: Array
 
 
@@ -56,22 +72,39 @@ class ImuErrors:
             white: (6,) variances per sample of the white noise then.
             dt: Time between samples [s].
         """
-        parts: list[tuple[tuple[float, float], ...]] = [
-            flicker(float(h), *FLICKER) if h > 0.0 else () for h in self.flicker
-        ]
-        if self.coloured is not None:
-            variances = self._variances(self.coloured.variance_at([t]), dt)[0]
-            coloured = zip(variances.tolist(), self.time_constants.tolist(), strict=True)
-            parts = [(*part, one) for part, one in zip(parts, coloured, strict=True)]
+        found = self.first_order(np.array([t]), dt)
+        columns = found.channels, found.variances[0], found.time_constants
+        every = list(zip(*(column.tolist() for column in columns), strict=True))
         return [
             Spectrum(
                 white=float(white[i] * dt),
-                first_order=parts[i],
+                first_order=tuple((variance, tau) for at, variance, tau in every if at == i),
                 lines=tuple((float(line.variances[i]), line.frequency) for line in self.lines),
                 bounded=float(self.counts[i] ** 2 / 12.0),
             )
             for i in range(6)
         ]
+
+    def first_order(self, t: Array, dt: float) -> FirstOrder:
+        """The flicker, as the first-order errors that it is made of, and the coloured noise.
+
+        Args:
+            t: (K,) [s].
+            dt: Time between samples [s].
+        """
+        every = np.arange(6)
+        channels = [np.empty(0, np.intp)]
+        taus, variances = [np.empty(0)], [np.empty((t.size, 0))]
+        if self.flicker.any():
+            for variance, tau in flicker(1.0, *FLICKER):
+                channels.append(every)
+                taus.append(np.full(6, tau))
+                variances.append(np.tile(variance * self.flicker, (t.size, 1)))
+        if self.coloured is not None:
+            channels.append(every)
+            taus.append(self.time_constants)
+            variances.append(self._variances(self.coloured.variance_at(t), dt))
+        return FirstOrder(np.concatenate(channels), np.concatenate(taus), np.hstack(variances))
 
     def distorted(self, readings: Array) -> Array:
         """True readings (N, 6) with scale factors and misalignments."""

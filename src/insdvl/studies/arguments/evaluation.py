@@ -36,6 +36,7 @@ ROWS = (
     "least band",
     "median of spectrum",
     "oracle",
+    "matched",
     "zero velocity",
     "perfect heading",
 )

@@ -67,6 +67,8 @@ SINGLE_BAND = "single band"
 LEAST_BAND = "least band"
 MEDIAN_OF_SPECTRUM = "median of spectrum"
 ORACLE = "oracle"
+#: The row whose filter has the true shaping states of the noise, see matched/.
+MATCHED = "matched"
 FIRST_CONSTANT = "constant 0.01/0.001"
 SECOND_CONSTANT = "constant 0.2/0.02"
 BEST_CONSTANT = "best constant"
@@ -101,6 +103,7 @@ ROWS = (
     LEAST_BAND,
     MEDIAN_OF_SPECTRUM,
     ORACLE,
+    MATCHED,
     ZERO_VELOCITY,
     PERFECT_HEADING,
 )
@@ -146,7 +149,7 @@ class Approach:
         name: Name of the row, or of the candidate.
         parameters: Parameters of the filter.
         q_source: The source of a received Q: the row of a learned model, of a closed form, or
-            `ORACLE`; empty where the filter receives none.
+            `ORACLE`; empty where the filter receives none; `MATCHED` for a filter of its own.
         told_r: Whether the filter receives the effective variances of the pings.
         q_factor: On the variances that it receives.
         tuned_r: Whether it receives the noise of the pings that the tuner learns.

@@ -17,6 +17,7 @@ from insdvl.studies.evaluation.approaches import (
     BEST_XI,
     FIRST_CONSTANT,
     FLOORS,
+    MATCHED,
     ORACLE,
     R_NOMINAL,
     R_ORACLE,
@@ -209,6 +210,7 @@ def summary(scores: Mapping[str, Array], rng: np.random.Generator) -> dict[str, 
         label: row
         for label, row in (
             ("oracle", ORACLE),
+            ("matched", MATCHED),
             ("R oracle", R_ORACLE),
             ("R nominal", R_NOMINAL),
             ("best constant", BEST_CONSTANT),

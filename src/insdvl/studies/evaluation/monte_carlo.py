@@ -27,12 +27,14 @@ from insdvl.simulation.noise import SCENARIOS, ProfileFactory, segments
 from insdvl.simulation.sensors.dvl import DvlModel
 from insdvl.simulation.trajectories import AUV
 from insdvl.studies.evaluation.approaches import (
+    MATCHED,
     ORACLE,
     TAUGHT,
     Approach,
     estimator,
     own_estimator,
 )
+from insdvl.studies.evaluation.matched.navigate import navigate
 from insdvl.studies.evaluation.metrics import (
     Track,
     attitude_error,
@@ -162,6 +164,10 @@ class Run:
 
     def fold(self, approach: Approach) -> FoldResult:
         """The mission through the filter of an approach, with the Q and R that it receives."""
+        if approach.q_source == MATCHED:
+            return navigate(
+                self.mission, self._initial, approach.parameters, _every(approach.parameters)
+            )
         if not approach.q_source:
             return self.fold_received(approach.parameters, np.empty(0, np.int64), np.empty((0, 6)))
         if approach.q_source not in self._received:
@@ -196,8 +202,7 @@ class Run:
         pings = zip(m.dvl_stamps_ns.tolist(), m.v_d, m.r, strict=True)
         measured = [Dvl(stamp, v_d, np.diag(r) if told_r else None) for stamp, v_d, r in pings]
         events = [self._initial, *measured, *received, *further]
-        every = round(parameters.imu.rate) // _NEES_RATE
-        return fold_arrays(parameters, m.stamps_ns, m.f_b, m.w_ib_b, events, every)
+        return fold_arrays(parameters, m.stamps_ns, m.f_b, m.w_ib_b, events, _every(parameters))
 
     def learned(
         self, estimate: Estimator, window: int, history: int, rate: float
@@ -250,6 +255,11 @@ class Run:
         return self.learned(*estimator(source), RATE)
 
 
+def _every(parameters: FilterParameters) -> int:
+    """Of so many samples the whole state of the last one is kept."""
+    return round(parameters.imu.rate) // _NEES_RATE
+
+
 def track(C_n_b: Array, v_n: Array, p_o: Array) -> Track:
     """A track from the velocity in NED (N, 3)."""
     return Track(C_n_b, np.einsum("kji,kj->ki", C_n_b, v_n), p_o)
@@ -287,7 +297,7 @@ def assess(fold: FoldResult, run: Run) -> tuple[Array, Array]:
     """
     m, truth, s = run.mission, run.truth, fold.states
     rate = fold.filter.parameters.imu.rate
-    step = round(rate) // _NEES_RATE
+    step = _every(fold.filter.parameters)
     at = slice(step - 1, None, step)
     seconds = slice(_NEES_RATE - 1, None, _NEES_RATE)  # among those samples, whose states are kept
     series = np.full((len(s[seconds]), len(SERIES)), np.nan)

@@ -21,6 +21,7 @@ PUBLISHED = {
 _RATIOS = (
     ("oracle", "body_rmse"),
     ("oracle", "srmse"),
+    ("matched", "body_rmse"),
     ("best constant", "body_rmse"),
     ("best constant for SRMSE", "srmse"),
     ("first constant", "body_rmse"),

@@ -24,6 +24,7 @@ from insdvl.studies.evaluation.approaches import (
     FIRST_CONSTANT,
     LEARNED,
     LEAST_BAND,
+    MATCHED,
     MEDIAN_OF_SPECTRUM,
     ORACLE,
     ROWS,
@@ -44,15 +45,17 @@ _FEW = (FIRST_CONSTANT, "hcf default", BEST_CONSTANT, CLOSED_FORM, ORACLE)
 #: Rows of the tables on noise that is not white.
 _OF_SPECTRUM = (
     *(BANDS, CLOSED_FORM, SINGLE_BAND, LEAST_BAND, MEDIAN_OF_SPECTRUM),
-    *(VARIATIONAL, *SAGE_HUSA, BEST_CONSTANT, ORACLE),
+    *(VARIATIONAL, *SAGE_HUSA, BEST_CONSTANT, ORACLE, MATCHED),
 )
+#: Rows of the tables on white noise, of which `MATCHED` knows no more than the oracle.
+_OF_WHITE = tuple(row for row in ROWS if row != MATCHED)
 #: Rows of the plots over time.
 _DRAWN = (FIRST_CONSTANT, BEST_CONSTANT, "hcf default", ORACLE)
 
 #: The comparisons, by part.
 PLANS: Mapping[str, Plan] = {
     **{
-        f"{scenario}-{preset}": Plan(scenario, Setting(preset))
+        f"{scenario}-{preset}": Plan(scenario, Setting(preset), rows=_OF_WHITE)
         for preset in ("calibrated", "paper")
         for scenario in SCENARIOS
     },

@@ -10,7 +10,7 @@ from typing import Any
 
 from insdvl.simulation.noise import SCENARIO_TEXTS, SCENARIOS
 from insdvl.studies.evaluation.tables import comparison_tables
-from insdvl.studies.report.markdown import interval, number
+from insdvl.studies.report.markdown import interval, number, table
 from insdvl.studies.results.accuracy import accuracy_tables
 from insdvl.studies.results.targets import (
     OF_SPECTRUM,
@@ -171,9 +171,37 @@ variances.
         [
             "## Targets\n\nSet before the measurement. The upper end of an interval has to meet "
             "them.\n\n" + targets_table(documents, OF_SPECTRUM),
+            *_over_matched(documents),
             *(_comparison(documents, f"{name}-spectrum", f"`{name}`") for name in SPECTRUM),
         ],
     )
+
+
+def _over_matched(documents: Documents) -> list[str]:
+    """How far the white oracle is from the filter that has the true shaping states."""
+    body = []
+    for scenario in SPECTRUM:
+        document = documents.get(f"{scenario}-spectrum", {"rows": []})
+        oracle, matched = (row(document, name) for name in ("oracle", "matched"))
+        if oracle is None or matched is None:
+            continue
+        ratio = oracle["ratio_to"]["matched"]
+        nees = (number(r["nees_per_dof"]["velocity"], 3) for r in (oracle, matched))
+        cells = (interval(ratio[metric], 4) for metric in ("body_rmse", "srmse"))
+        body.append([f"`{scenario}`", *cells, *nees])
+    if not body:
+        return []
+    head = ["scenario", "body velocity", "SRMSE", "NEES velocity: oracle", "matched"]
+    return [_OVER_MATCHED + table(head, body)]
+
+
+_OVER_MATCHED = """## White oracle over matched
+
+`matched` is the filter that has the true shaping states of the simulated noise
+([effective-noise.md](../explanation/effective-noise.md#9-the-lower-bound)). What no white density
+can give is the ratio of the oracle's error to its own.
+
+"""
 
 
 def _published(documents: Documents) -> str:
