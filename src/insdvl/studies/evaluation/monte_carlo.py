@@ -163,7 +163,7 @@ class Run:
         self._initial = initial_of_run(self.mission, study, split, number)
 
     def fold(self, approach: Approach) -> FoldResult:
-        """The mission through the filter of an approach, with the Q and R that it receives."""
+        """The mission through the filter of an approach, with what it is told of the noise."""
         if approach.q_source == MATCHED:
             return navigate(
                 self.mission, self._initial, approach.parameters, _every(approach.parameters)

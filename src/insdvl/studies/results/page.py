@@ -198,8 +198,8 @@ def _over_matched(documents: Documents) -> list[str]:
 _OVER_MATCHED = """## White oracle over matched
 
 `matched` is the filter that has the true shaping states of the simulated noise
-([effective-noise.md](../explanation/effective-noise.md#9-the-lower-bound)). What no white density
-can give is the ratio of the oracle's error to its own.
+([effective-noise.md](../explanation/effective-noise.md#9-the-lower-bound)). The ratio of
+the oracle's error to its error is what white densities cost.
 
 """
 
