@@ -68,16 +68,20 @@ class Plan:
     duration: float | None = None
 
     @property
-    def label(self) -> str:
-        """The scenario, and what of the setting differs from that of most tables."""
+    def vehicle(self) -> str:
+        """The scenario, and what of the sensors differs from that of most tables."""
         setting, parts = self.setting, [self.scenario]
         if setting.imu_grade:
             parts.append(setting.imu_grade)
         if setting.dvl_rate != 1.0:
             parts.append(f"{setting.dvl_rate:g} Hz")
-        if setting.outage:
-            parts.append(f"outages of {setting.outage:g} s")
         return ", ".join(parts)
+
+    @property
+    def label(self) -> str:
+        """The vehicle, and its outages."""
+        outage = self.setting.outage
+        return f"{self.vehicle}, outages of {outage:g} s" if outage else self.vehicle
 
 
 @dataclass(frozen=True)
@@ -149,7 +153,7 @@ def _stream(seed: int) -> np.random.SeedSequence:
 def _approaches(
     rows: Sequence[str], plan: Plan, study: Study, pool: Pool, store: Store | None
 ) -> tuple[list[Approach], dict[str, Any]]:
-    """The approaches of the rows, and the results of their searches."""
+    """The approaches of the rows, and the results of their searches, which have no outages."""
     found: dict[str, Approach] = {}
     searches: dict[str, Any] = {}
     setting = plan.setting
@@ -159,9 +163,9 @@ def _approaches(
         results = pool.compute(
             tuning_run,
             numbered(plan.tuning_runs),
-            shared=(study, tuple(candidates)),
+            shared=(replace(study, outage=0.0), tuple(candidates)),
             store=store,
-            label=f"{plan.label}: {stage}",
+            label=f"{plan.vehicle}: {stage}",
         )
         return np.mean([result["errors"] for result in results], axis=0)
 

@@ -362,7 +362,7 @@ def tuning_run(shared: tuple[Study, Sequence[Approach]], number: int) -> dict[st
     rows = []
     for approach in approaches:
         result, truth = track_of(run.fold(approach)), run.truth
-        if failed(result, truth, approach.parameters.imu.rate, run.outages):
+        if failed(result, truth, approach.parameters.imu.rate):
             rows.append((np.inf, np.inf))
         else:
             rows.append((rmse(truth.v_b - result.v_b), rmse(truth.v_n - result.v_n)))
