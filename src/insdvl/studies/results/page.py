@@ -179,33 +179,6 @@ does not take for granted that noise is white: it knows less of white noise than
     )
 
 
-def _breadth(documents: Documents) -> str:
-    document, parts = documents.get("breadth"), [_missing("breadth")]
-    if document:
-        parts = [
-            f"## Grades of IMU and rates of the DVL\n\n{rates_tables(document)}",
-            f"## Outages of the DVL\n\n{outages_tables(document)}",
-        ]
-    return _section(
-        "Other IMUs, other rates, and outages",
-        """
-Does the process noise that was learned from spectra also serve an IMU of another grade, a DVL that
-is faster or slower, and a minute without DVL? Scenarios and rows are those of
-[spectrum.md](spectrum.md); grades and outages are in
-[effective-noise.md](../explanation/effective-noise.md#8-scenarios). The noise of the DVL is 0.1
-m/s. `bands` was trained on other IMUs, with 1 and 5 Hz, and without outages. Drift is the change
-of the position's error in an outage. NEES is 1 for a filter that is right about itself; that of the
-position at the end of an outage has the drift and what was wrong before.
-""",
-        [
-            "## Targets\n\nSet before the measurement. Each has to be met by every line of its "
-            "scenario, with the upper end\nof the interval of a ratio.\n\n"
-            + targets_table(documents, OF_BREADTH),
-            *parts,
-        ],
-    )
-
-
 def _published(documents: Documents) -> str:
     parts = _scenarios(documents, "paper")
     if "constant-paper" in documents:
@@ -293,6 +266,33 @@ the DVL teaches on the other stretches of the voyage; *taught constant* always h
 floors of the configuration hold, and in the rows *no floor* they do not.
 """,
         [withheld_tables(document) if document else _missing("withheld")],
+    )
+
+
+def _breadth(documents: Documents) -> str:
+    document, parts = documents.get("breadth"), [_missing("breadth")]
+    if document:
+        parts = [
+            f"## Grades of IMU and rates of the DVL\n\n{rates_tables(document)}",
+            f"## Outages of the DVL\n\n{outages_tables(document)}",
+        ]
+    return _section(
+        "Other IMUs, other rates, and outages",
+        """
+Does the process noise that was learned from spectra also serve an IMU of another grade, a DVL that
+is faster or slower, and a minute without DVL? Scenarios and rows are those of
+[spectrum.md](spectrum.md); grades and outages are in
+[effective-noise.md](../explanation/effective-noise.md#8-scenarios). The noise of the DVL is 0.1
+m/s. `bands` was trained on other IMUs, with 1 and 5 Hz, and without outages. Drift is the change
+of the position's error in an outage. NEES is 1 for a filter that is right about itself; that of the
+position at the end of an outage has the drift and what was wrong before.
+""",
+        [
+            "## Targets\n\nSet before the measurement. Each has to be met by every line of its "
+            "scenario, with the upper end\nof the interval of a ratio.\n\n"
+            + targets_table(documents, OF_BREADTH),
+            *parts,
+        ],
     )
 
 
