@@ -28,7 +28,7 @@ SCENARIOS = ("vibrating", "coloured", "waves", "realistic")
 RATES = (5.0, 1.0, 0.2)  # Hz
 #: Lengths of the outages [s], in all scenarios and in the last.
 LENGTH, LENGTHS = 60.0, (30.0, 60.0, 120.0)
-RUNS = 20
+RUNS = 10
 
 #: In the order of the tables. What is learned of R has a meaning where R is not that of the data
 #: sheet, which is in `realistic`.
