@@ -11,13 +11,14 @@ from insdvl import cli, commands
 from insdvl.commands import COMMANDS, overview, parser_of, whole_parser
 from insdvl.simulation import noise
 from insdvl.simulation.drawn.scenarios import DRAWN
+from insdvl.simulation.grades import GRADES
 from insdvl.simulation.trajectories import AUV
 from insdvl.studies.arguments import consistency as of_consistency
 from insdvl.studies.arguments import evaluation as of_evaluation
 from insdvl.studies.arguments import results as of_results
 from insdvl.studies.arguments import training as of_training
 from insdvl.studies.consistency.page import STUDIES
-from insdvl.studies.evaluation import approaches
+from insdvl.studies.evaluation import approaches, outages
 from insdvl.studies.results.command import PARTS
 from insdvl.studies.training.command import PRESETS
 from insdvl.studies.training.dataset import WINDOW
@@ -207,6 +208,8 @@ def test_a_reader_that_has_seen_enough_is_no_error(
 
 def test_names_in_arguments_are_those_of_the_modules() -> None:
     assert (*noise.SCENARIOS, *DRAWN) == of_evaluation.SCENARIOS
+    assert tuple(GRADES) == of_evaluation.GRADES
+    assert outages.CONVERGENCE == of_evaluation.CONVERGENCE
     assert tuple(approaches.PRESETS) == of_evaluation.PRESETS
     assert of_evaluation.ROWS == approaches.ROWS
     assert of_evaluation.TAUGHT == approaches.TAUGHT

@@ -1,14 +1,15 @@
 """Grades of IMU: noise and turn-on bias of the units that studies and tests speak of."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import radians, sqrt
 from types import MappingProxyType
 
 import numpy as np
 
 from insdvl.arrays import Array
-from insdvl.simulation.mission import ImuModel
+from insdvl.simulation.drawn.scenarios import GYROSCOPE, MIDDLE, Scenario
+from insdvl.simulation.sensors.imu import ImuModel
 
 _MICRO_G = 9.80665e-6  # m/s^2
 
@@ -33,6 +34,19 @@ class Grade:
         """Variance (6,) of the white noise in a sample at a rate [Hz], f x, y, z then w x, y, z."""
         densities = np.square([self.accelerometer_noise, self.gyroscope_noise])
         return np.repeat(densities * rate, 3)
+
+    def scale(self, rate: float = 100.0) -> tuple[float, float]:
+        """Variances per sample of f and w over the middle of those that a scenario draws."""
+        f, w = self.variances(rate)[[0, 3]].tolist()
+        return f / MIDDLE, w / (MIDDLE * GYROSCOPE)
+
+    def of_scenario(self, scenario: Scenario, rate: float = 100.0) -> Scenario:
+        """The scenario with the noise of this grade: its variances are in the middle of the draws.
+
+        What is motion stays, and so do counts, and errors of scale and alignment
+        (docs/explanation/effective-noise.md).
+        """
+        return replace(scenario, scale=self.scale(rate))
 
     def imu(self, rate: float = 100.0) -> ImuModel:
         """The simulated IMU; its biases stay, its white noise is a profile of `variances`."""

@@ -138,6 +138,22 @@ def test_a_row_without_its_library_is_left_out_and_said(
     assert "Left out: dnn (" in capsys.readouterr().out
 
 
+def test_grades_and_outages_reach_the_missions(tmp_path: Path) -> None:
+    """The other IMU is another filter, told of it; drifts are there with outages only."""
+    rows = ("--scenario", "coloured", "--rows", "constant 0.01/0.001,oracle", "--duration", "130")
+    _, own = evaluate(tmp_path, *rows)
+    _, fog = evaluate(tmp_path, *rows, "--imu-grade", "fog", "--outage", "30")
+    assert fog["plan"]["setting"]["imu_grade"] == "fog"
+    of_own, of_fog = (document["rows"][1] for document in (own, fog))
+    assert "outage_drift" not in of_own
+    assert of_fog["outage_drift"] > 0.0
+    assert of_fog["nees_per_dof"]["outage_position"] > 0.0
+    low, middle, high = np.sort(fog["rows"][0]["ratio_to"]["oracle"]["outage_drift"])
+    assert 0.0 < low <= middle <= high
+    assert of_fog["depth_rmse"] > 0.0
+    assert of_own["body_rmse"] != of_fog["body_rmse"]
+
+
 def test_searched_rows_name_what_was_found(tmp_path: Path) -> None:
     rows = "adaptive variational,best constant,oracle"
     options = ("--rows", rows, "--tuning-runs", "2", "--runs", "2", "--duration", "10")
@@ -160,6 +176,19 @@ def test_searched_rows_name_what_was_found(tmp_path: Path) -> None:
         (("--tuning-runs", "0"), "--tuning-runs must be >= 2, got 0"),
         (("--duration", "5"), "--duration must be within 10 to 330 s, got 5"),
         (("--duration", "nan"), "--duration must be within 10 to 330 s, got nan"),
+        (
+            ("--imu-grade", "navy"),
+            "--imu-grade: unknown name 'navy'; known are fog, tactical, mems",
+        ),
+        (
+            ("--imu-grade", "fog"),
+            "--imu-grade needs --scenario vibrating, coloured, waves or realistic, got varying",
+        ),
+        (("--outage", "-1"), "--outage must be within 0 to 240 s, got -1"),
+        (
+            ("--outage", "60", "--duration", "120"),
+            "--duration must be at least 90 s and an outage of 60 s, got 120",
+        ),
         (("--seed", "-1"), "--seed must be >= 0, got -1"),
         (("--jobs", "0"), "--jobs must be >= 1, got 0"),
     ],

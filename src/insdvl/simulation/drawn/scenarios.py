@@ -22,6 +22,8 @@ from insdvl.simulation.sensors.dvl import DvlModel
 
 #: Range of the variances per sample of the white noise of an accelerometer [(m/s^2)^2].
 WHITE = (1e-4, 0.05)
+#: The middle of this range, q_0 [(m/s^2)^2].
+MIDDLE = float(np.sqrt(WHITE[0] * WHITE[1]))
 #: The variances of a gyroscope [(rad/s)^2] are smaller by this factor [1/m^2]: 0.01 to 0.24
 #: deg/sqrt(h) at 100 Hz, so that its noise in the tilt disturbs the velocity about as much.
 GYROSCOPE = 1e-5
@@ -137,6 +139,8 @@ class Scenario:
             whose noise depends on its surroundings.
         grade: Variances of a sample of an IMU with white noise alone, f and w, in place of
             ``white``; and a DVL whose white noise depends on its surroundings.
+        scale: Factors on the variances of the white, coloured and flicker noise of accelerometers
+            and gyroscopes, for an IMU of another grade (see `simulation.grades`).
     """
 
     white: tuple[float, float] = WHITE
@@ -145,12 +149,13 @@ class Scenario:
     waves: bool = False
     imperfect: bool = False
     grade: tuple[float, float] | None = None
+    scale: tuple[float, float] = (1.0, 1.0)
 
     def profile(self) -> ProfileFactory:
         """The white noise."""
         if self.grade is not None:
             return constant(np.repeat(self.grade, 3))
-        return _in_all_channels(self.white)
+        return _in_all_channels(self.white, self.scale)
 
     def draw(
         self,
@@ -209,10 +214,12 @@ class Scenario:
                 ]
             )
             # The density of a bias instability B is B^2 / (2 pi f) (IEEE Std 952).
-            flicker, counts = instability**2 / (2.0 * np.pi), COUNTS
+            flicker = np.repeat(self.scale, 3) * instability**2 / (2.0 * np.pi)
+            counts = COUNTS
             force, rate = (sigma * imperfect.standard_normal((3, 3)) for sigma in SCALE_FACTOR)
+        coloured = _in_all_channels(COLOURED, self.scale)
         return ImuErrors(
-            coloured=_in_all_channels(COLOURED)(duration, profile_rng) if self.coloured else None,
+            coloured=coloured(duration, profile_rng) if self.coloured else None,
             time_constants=_log_uniform(TIME_CONSTANT, tau_rng, 6),
             flicker=flicker,
             counts=counts,
@@ -235,13 +242,18 @@ DRAWN: Mapping[str, Scenario] = MappingProxyType(
 )
 
 
-def _in_all_channels(limits: tuple[float, float]) -> ProfileFactory:
-    """Segments of 15 to 45 s in the six channels, with the variances of the accelerometers."""
-    draw = segments(*limits)
+def _in_all_channels(limits: tuple[float, float], scale: tuple[float, float]) -> ProfileFactory:
+    """Segments of 15 to 45 s in the six channels.
+
+    Args:
+        limits: Of the variances of the accelerometers.
+        scale: See `Scenario`.
+    """
+    draw, factors = segments(*limits), _SCALE * np.repeat(scale, 3)
 
     def scaled(duration: float, rng: np.random.Generator) -> NoiseProfile:
         profile = draw(duration, rng)
-        return NoiseProfile(profile.times, profile.variances * _SCALE)
+        return NoiseProfile(profile.times, profile.variances * factors)
 
     return scaled
 
@@ -249,7 +261,7 @@ def _in_all_channels(limits: tuple[float, float]) -> ProfileFactory:
 def _drawn_vibration(rate: float, rng: np.random.Generator) -> tuple[Vibration, tuple[Line, ...]]:
     """The vibration of a vehicle, and what of it an IMU at a rate [Hz] shows aliased."""
     counts, line_rng, band_rng, phases = rng.spawn(4)
-    middle = np.sqrt(WHITE[0] * WHITE[1]) * _SCALE
+    middle = MIDDLE * _SCALE
     number = int(counts.integers(LINES + 1))
     frequency = _log_uniform(BAND, line_rng, number)
     variance = _log_uniform(LINE_POWER, line_rng, (number, 6)) * middle

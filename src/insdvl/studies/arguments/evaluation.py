@@ -12,6 +12,9 @@ SCENARIOS = (
     *("constant", "constant-tableI", "varying", "wide"),
     *("vibrating", "coloured", "waves", "realistic", "bottom-fog", "bottom-tactical"),
 )
+#: Those of them that may have an IMU of a grade.
+GRADED = ("vibrating", "coloured", "waves", "realistic")
+GRADES = ("fog", "tactical", "mems")
 PRESETS = ("calibrated", "paper", "paper-no-walk")
 ROWS = (
     "constant 0.01/0.001",
@@ -54,11 +57,13 @@ R_ROWS = (
 ERROR_STATES = ("invariant", "ned")
 MIN_DURATION, DURATION = 10, 330  # s
 MIN_RUNS = 2  # fewer give no interval
+CONVERGENCE = 90  # s, before the first outage
 _RANGES = {
     "--dvl-std": (1e-3, 10.0, " m/s"),
     "--dvl-rate": (0.1, 20.0, ""),
     "--outliers": (0.0, 0.5, ""),
     "--q-factor": (1e-6, 1e6, ""),
+    "--outage": (0.0, DURATION - CONVERGENCE, " s"),
 }
 
 
@@ -99,6 +104,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--dvl-rate", type=float, default=1.0, metavar="HZ", help="pings per second (default: 1)"
+    )
+    parser.add_argument(
+        "--imu-grade",
+        default="",
+        choices=Names(GRADES),
+        metavar="NAME",
+        help=f"noise and biases of an IMU of a grade in {', '.join(GRADED)}: {', '.join(GRADES)} "
+        "(default: those of the scenario)",
+    )
+    parser.add_argument(
+        "--outage",
+        type=float,
+        default=0.0,
+        metavar="S",
+        help="length of the outages of the DVL, as many as a mission has room for; errors at their "
+        "ends are told (default: 0, none)",
     )
     parser.add_argument(
         "--outliers",
@@ -171,6 +192,13 @@ def _faults(arguments: argparse.Namespace) -> Iterator[str]:
     yield from unknown_names("--preset", [arguments.preset], PRESETS)
     if arguments.error_state:
         yield from unknown_names("--error-state", [arguments.error_state], ERROR_STATES)
+    if arguments.imu_grade:
+        yield from unknown_names("--imu-grade", [arguments.imu_grade], GRADES)
+        if arguments.imu_grade in GRADES and arguments.scenario not in GRADED:
+            yield (
+                f"--imu-grade needs --scenario {', '.join(GRADED[:-1])} or {GRADED[-1]}, "
+                f"got {arguments.scenario}"
+            )
     if arguments.rows is not None:
         yield from unknown_names("--rows", arguments.rows.split(","), (*ROWS, TAUGHT, *R_ROWS))
     yield from run_faults(arguments)
@@ -178,10 +206,20 @@ def _faults(arguments: argparse.Namespace) -> Iterator[str]:
         value = getattr(arguments, option.removeprefix("--").replace("-", "_"))
         if not low <= value <= high:
             yield f"{option} must be within {low:g} to {high:g}{unit}, got {value:g}"
-    if arguments.duration is not None and not MIN_DURATION <= arguments.duration <= DURATION:
-        limits = f"{MIN_DURATION} to {DURATION} s"
-        yield f"--duration must be within {limits}, got {arguments.duration:g}"
+    if arguments.duration is not None:
+        yield from _duration_faults(arguments.duration, arguments.outage)
     yield from worker_faults(arguments)
+
+
+def _duration_faults(duration: float, outage: float) -> Iterator[str]:
+    if not MIN_DURATION <= duration <= DURATION:
+        limits = f"{MIN_DURATION} to {DURATION} s"
+        yield f"--duration must be within {limits}, got {duration:g}"
+    elif outage > 0.0 and duration < CONVERGENCE + outage:
+        yield (
+            f"--duration must be at least {CONVERGENCE} s and an outage of {outage:g} s, "
+            f"got {duration:g}"
+        )
 
 
 def run_faults(arguments: argparse.Namespace) -> Iterator[str]:

@@ -29,6 +29,7 @@ PARTS = (
     "realistic-spectrum",
     "varying-spectrum",
     "wide-spectrum",
+    "breadth",
     "window",
     VEHICLE,
     WITHHELD,

@@ -15,6 +15,7 @@ import numpy as np
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build, flatten
 from insdvl.simulation.drawn.scenarios import DRAWN
+from insdvl.simulation.grades import GRADES
 from insdvl.simulation.initial_errors import P_0
 from insdvl.simulation.trajectories import AUV
 from insdvl.tuner.features.band_forms import least_band, median_of_spectrum, single_band
@@ -175,6 +176,9 @@ class Setting:
         dvl_rate: Pings per second.
         outliers: Probability that a ping is off by 1 m/s.
         q_factor: Of the rows of `R_SOURCES`, on the variances that they are told.
+        imu_grade: Key of `GRADES`, of the IMU of a scenario of `DRAWN`; empty for that of the
+            scenario. The filter knows its turn-on biases, which do not walk.
+        outage: Length of the outages of the DVL [s], see `outages`; 0 for none.
     """
 
     preset: str
@@ -184,6 +188,8 @@ class Setting:
     dvl_rate: float = 1.0
     outliers: float = 0.0
     q_factor: float = 1.0
+    imu_grade: str = ""
+    outage: float = 0.0
 
     def filter(self, variances: Sequence[float] = FIRST, **values: Any) -> FilterParameters:
         """Parameters of a filter.
@@ -207,6 +213,14 @@ class Setting:
         }
         if self.error_state:
             given["error_state"] = self.error_state
+        if self.imu_grade:
+            grade = GRADES[self.imu_grade]
+            given |= {
+                "initial.accelerometer_bias_std": grade.accelerometer_bias,
+                "initial.gyroscope_bias_std": grade.gyroscope_bias,
+                "process_noise.accelerometer_bias_walk": 0.0,
+                "process_noise.gyroscope_bias_walk": 0.0,
+            }
         given |= {f"process_noise.{name}": value for name, value in values.items()}
         return build(FilterParameters, given)
 
@@ -254,9 +268,16 @@ _FORGETTING_GRID = (0.95, 0.98, 0.99, 0.998)
 def constants(
     setting: Setting, scenario: str, around: Approach | None = None
 ) -> tuple[Approach, ...]:
-    """Candidates for the best constant Q: over decades, or in finer steps around the best one."""
+    """Candidates for the best constant Q: over decades, or in finer steps around the best one.
+
+    For an IMU of a grade the decades are those of the scenario times the factors of the grade.
+    """
     if around is None:
-        grid = product(_F_DECADES, _W_DECADES_DRAWN if scenario in DRAWN else _W_DECADES)
+        of_f, of_w = (1.0, 1.0)
+        if setting.imu_grade:
+            of_f, of_w = GRADES[setting.imu_grade].scale()
+        decades = _W_DECADES_DRAWN if scenario in DRAWN else _W_DECADES
+        grid = product([f * of_f for f in _F_DECADES], [w * of_w for w in decades])
     else:
         f, w = nominal(around)
         grid = product([f * step for step in _STEPS], [w * step for step in _STEPS])

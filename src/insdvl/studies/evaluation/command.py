@@ -98,6 +98,8 @@ def _plan(arguments: argparse.Namespace) -> Plan:
             arguments.dvl_rate,
             arguments.outliers,
             arguments.q_factor,
+            arguments.imu_grade,
+            arguments.outage,
         ),
         runs=arguments.runs,
         tuning_runs=arguments.tuning_runs,

@@ -10,7 +10,7 @@ from insdvl.arrays import Array
 from insdvl.files import finite
 from insdvl.jobs.pool import Pool
 from insdvl.jobs.store import Store
-from insdvl.studies.evaluation import statistics
+from insdvl.studies.evaluation import outages, statistics
 from insdvl.studies.evaluation.approaches import (
     BEST_CONSTANT,
     BEST_CONSTANT_SRMSE,
@@ -32,14 +32,17 @@ from insdvl.studies.evaluation.approaches import (
     nominal,
     unavailable,
 )
-from insdvl.studies.evaluation.monte_carlo import METRICS, Study, evaluate_run, numbered, tuning_run
+from insdvl.studies.evaluation.missions import Study
+from insdvl.studies.evaluation.monte_carlo import METRICS, evaluate_run, numbered, tuning_run
 
 #: A row that fails in more than this share of the runs is left out of the pairs: its other runs say
 #: little, and it would remove its failed runs from all other rows.
 MOST_FAILURES = 0.1
 _BOOTSTRAP = 2003  # key of the random stream
-RATIO_METRICS = ("body_rmse", "srmse")
-NEES = ("velocity", "attitude", "velocity_attitude", "bias", "position")
+#: Numbers of a mission with outages alone.
+_OF_OUTAGES = frozenset(outages.METRICS)
+RATIO_METRICS = ("body_rmse", "srmse", *outages.ERRORS)
+_NEES = "nees_"  # in the names of metrics
 _SEARCHED = (BEST_CONSTANT, BEST_CONSTANT_SRMSE, BEST_XI, VARIATIONAL, *SAGE_HUSA)
 
 
@@ -65,6 +68,22 @@ class Plan:
     rows: tuple[str, ...] = ROWS
     duration: float | None = None
 
+    @property
+    def vehicle(self) -> str:
+        """The scenario, and what of the sensors differs from that of most tables."""
+        setting, parts = self.setting, [self.scenario]
+        if setting.imu_grade:
+            parts.append(setting.imu_grade)
+        if setting.dvl_rate != 1.0:
+            parts.append(f"{setting.dvl_rate:g} Hz")
+        return ", ".join(parts)
+
+    @property
+    def label(self) -> str:
+        """The vehicle, and its outages."""
+        outage = self.setting.outage
+        return f"{self.vehicle}, outages of {outage:g} s" if outage else self.vehicle
+
 
 @dataclass(frozen=True)
 class Comparison:
@@ -84,8 +103,16 @@ def compare(plan: Plan, pool: Pool, store: Store | None = None) -> Comparison:
     omitted = unavailable(plan.rows)
     rows = [row for row in plan.rows if row not in omitted]
     setting = plan.setting
-    of_dvl = setting.dvl_std, setting.dvl_rate, setting.outliers
-    study = Study(plan.scenario, plan.seed, plan.duration, *of_dvl)
+    study = Study(
+        plan.scenario,
+        plan.seed,
+        plan.duration,
+        dvl_std=setting.dvl_std,
+        dvl_rate=setting.dvl_rate,
+        outliers=setting.outliers,
+        imu_grade=setting.imu_grade,
+        outage=setting.outage,
+    )
     approaches, searches = _approaches(rows, plan, study, pool, store)
 
     results = pool.compute(
@@ -93,7 +120,7 @@ def compare(plan: Plan, pool: Pool, store: Store | None = None) -> Comparison:
         numbered(plan.runs),
         shared=(study, tuple(approaches)),
         store=store,
-        label=f"{plan.scenario}: runs",
+        label=f"{plan.label}: runs",
     )
     scores = {
         entry.name: np.array([result["scores"][i] for result in results])
@@ -127,7 +154,7 @@ def _stream(seed: int) -> np.random.SeedSequence:
 def _approaches(
     rows: Sequence[str], plan: Plan, study: Study, pool: Pool, store: Store | None
 ) -> tuple[list[Approach], dict[str, Any]]:
-    """The approaches of the rows, and the results of their searches."""
+    """The approaches of the rows, and the results of their searches, which have no outages."""
     found: dict[str, Approach] = {}
     searches: dict[str, Any] = {}
     setting = plan.setting
@@ -137,9 +164,9 @@ def _approaches(
         results = pool.compute(
             tuning_run,
             numbered(plan.tuning_runs),
-            shared=(study, tuple(candidates)),
+            shared=(replace(study, outage=0.0), tuple(candidates)),
             store=store,
-            label=f"{plan.scenario}: {stage}",
+            label=f"{plan.vehicle}: {stage}",
         )
         return np.mean([result["errors"] for result in results], axis=0)
 
@@ -159,6 +186,8 @@ def _approaches(
         coarse = constants(setting, plan.scenario)
         coarse_errors = mean_errors(coarse, "constants, coarse")
         for metric, row in enumerate((BEST_CONSTANT, BEST_CONSTANT_SRMSE)):
+            if row == BEST_CONSTANT_SRMSE and row not in rows:
+                continue
             around = coarse[int(np.argmin(coarse_errors[:, metric]))]
             fine = constants(setting, plan.scenario, around)
             choose(row, fine, mean_errors(fine, f"{row}, fine"), metric)
@@ -185,6 +214,12 @@ def summary(scores: Mapping[str, Array], rng: np.random.Generator) -> dict[str, 
         rng: Generator of the bootstrap.
     """
     failure = METRICS.index("failed")
+    measured = [
+        metric
+        for i, metric in enumerate(METRICS[:failure])
+        if metric not in _OF_OUTAGES or any(np.isfinite(v[:, i]).any() for v in scores.values())
+    ]
+    compared = [metric for metric in RATIO_METRICS if metric in measured]
     failures = {row: int(np.sum(values[:, failure])) for row, values in scores.items()}
     n_runs = len(next(iter(scores.values())))
     paired = {row for row, count in failures.items() if count <= MOST_FAILURES * n_runs}
@@ -198,7 +233,7 @@ def summary(scores: Mapping[str, Array], rng: np.random.Generator) -> dict[str, 
                 row: [finite(float(f"{v:.6g}")) for v in values[:, METRICS.index(metric)]]
                 for row, values in scores.items()
             }
-            for metric in RATIO_METRICS
+            for metric in compared
         },
     }
     draws = statistics.resamples(np.arange(whole.sum()), rng)
@@ -221,11 +256,11 @@ def summary(scores: Mapping[str, Array], rng: np.random.Generator) -> dict[str, 
         if row in paired
     }
     for row, values in scores.items():
-        means: dict[str, Any] = dict.fromkeys(METRICS[:failure])
+        means: dict[str, Any] = dict.fromkeys(measured)
         intervals: dict[str, Any] = {}
         ratios: dict[str, Any] = {}
         if row in paired:
-            for metric in METRICS[:failure]:
+            for metric in measured:
                 if np.isfinite(column(row, metric)).all():
                     middle, low, high = statistics.mean(column(row, metric), draws)
                     means[metric], intervals[metric] = middle, [low, high]
@@ -236,21 +271,26 @@ def summary(scores: Mapping[str, Array], rng: np.random.Generator) -> dict[str, 
                             column(row, metric), column(reference, metric), draws
                         )
                     )
-                    for metric in RATIO_METRICS
+                    for metric in compared
+                    if metric in intervals
                 }
                 for label, reference in references.items()
             }
         lost = values[:, failure] == 1.0  # worse than any number
         medians = {
-            metric: finite(float(np.median(np.where(lost, np.inf, values[:, i]))))
-            for i, metric in enumerate(METRICS[:failure])
+            metric: finite(
+                float(np.median(np.where(lost, np.inf, values[:, METRICS.index(metric)])))
+            )
+            for metric in measured
         }
         numbers["rows"].append(
             {
                 "approach": row,
                 "failures": failures[row],
-                **{m: v for m, v in means.items() if not m.startswith("nees_")},
-                "nees_per_dof": {block: means[f"nees_{block}"] for block in NEES},
+                **{m: v for m, v in means.items() if not m.startswith(_NEES)},
+                "nees_per_dof": {
+                    m.removeprefix(_NEES): v for m, v in means.items() if m.startswith(_NEES)
+                },
                 "interval": intervals,
                 "median": medians,
                 "ratio_to": ratios,

@@ -1,14 +1,7 @@
-"""One run of the comparison: a mission, the same for all approaches, and the errors of each.
+"""One run of the comparison: a mission, the same for all approaches, and the errors of each."""
 
-A run has its own random streams, made from the seed of the study, the split and the number of the
-run: for the noise profile, noise and biases of the mission, and for the initial error, which is
-drawn from the filter's P_0. Searches use runs of the split `TUNING`, reports those of `TEST`;
-training draws from other streams.
-"""
-
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from types import MappingProxyType
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -16,16 +9,11 @@ from scipy.spatial.transform import Rotation
 from insdvl.arrays import Array, Stamps
 from insdvl.navigation.coordinates import body_velocity_jacobian, position_error
 from insdvl.navigation.error_state import ACCELEROMETER_BIAS, ATTITUDE, GYROSCOPE_BIAS, POSITION
-from insdvl.navigation.events import NS, Event, Imu, Initial, ProcessNoise, SensorNoise
+from insdvl.navigation.events import NS, Event, Imu, ProcessNoise, SensorNoise
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.odometry import position_in_odom
 from insdvl.navigation.parameters import FilterParameters
-from insdvl.simulation.drawn.scenarios import DRAWN, Scenario
-from insdvl.simulation.initial_errors import P_0, drawn_initial
-from insdvl.simulation.mission import Mission, simulate
-from insdvl.simulation.noise import SCENARIOS, ProfileFactory, segments
-from insdvl.simulation.sensors.dvl import DvlModel
-from insdvl.simulation.trajectories import AUV
+from insdvl.studies.evaluation import outages
 from insdvl.studies.evaluation.approaches import (
     MATCHED,
     ORACLE,
@@ -44,6 +32,14 @@ from insdvl.studies.evaluation.metrics import (
     rmse,
     scores,
 )
+from insdvl.studies.evaluation.missions import (
+    TEST,
+    TUNING,
+    Study,
+    initial_of_run,
+    mission_of_run,
+    stream_of_run,
+)
 from insdvl.studies.evaluation.taught import lessons_of, taught_model
 from insdvl.timeline.output import FoldResult
 from insdvl.timeline.recorded import fold_arrays
@@ -51,19 +47,7 @@ from insdvl.tuner.measurement_noise import DvlTuner
 from insdvl.tuner.offline import Estimator, tuned, tuned_by_own
 from insdvl.tuner.parameters import TunerParameters
 
-#: Splits: first keys of the random streams.
-TEST, TUNING = 2000, 2001
-_INITIAL = 2002
-_TEACHING = 2004
-
-#: Shortest and longest time between changes [s] of the profiles of the study of window and rate.
-CHANGES = MappingProxyType({"fast": (2.0, 6.0), "varying": (15.0, 45.0), "slow": (60.0, 180.0)})
-#: Noise profiles: the scenarios, those of `CHANGES`, and those that are not white.
-PROFILES: Mapping[str, ProfileFactory | Scenario] = MappingProxyType(
-    {name: segments(1e-3, 0.05, *times) for name, times in CHANGES.items()}
-    | dict(SCENARIOS)
-    | dict(DRAWN)
-)
+_TEACHING = 2004  # key of the random streams
 
 #: Numbers of an approach in a run; nan where one is undefined.
 METRICS = (
@@ -73,6 +57,8 @@ METRICS = (
     "heading_rmse_deg",
     "tilt_rmse_deg",
     "position_drift_percent",
+    "depth_rmse",
+    *outages.METRICS,
     "nees_velocity",
     "nees_attitude",
     "nees_velocity_attitude",
@@ -87,63 +73,15 @@ METRICS = (
 #: each with the variance in the filter's covariance.
 SERIES = ("body_velocity", "body_velocity_variance", "heading", "heading_variance")
 
-OUTLIER = 1.0  # m/s
 FAILURE_SPEED = 5.0  # m/s; a larger body velocity error for FAILURE_TIME is a failure
 FAILURE_TIME = 10.0  # s
 RATE, MAX_GAP_NS = 1.0, NS // 10  # Hz, ns; defaults of the tuner
 _NEES_RATE = 4  # Hz; at and between the updates
 
 
-@dataclass(frozen=True)
-class Study:
-    """Missions of the AUV that differ in their random numbers only.
-
-    Attributes:
-        scenario: Key of `PROFILES`.
-        seed: Random seed of all runs.
-        duration: Length [s], at most that of the trajectory; None for the whole trajectory.
-        dvl_std: Noise of each component of a ping on the DVL's data sheet, one sigma [m/s].
-        dvl_rate: Pings per second.
-        outliers: Probability that a ping is off by `OUTLIER`.
-    """
-
-    scenario: str
-    seed: int
-    duration: float | None = None
-    dvl_std: float = 0.1
-    dvl_rate: float = 1.0
-    outliers: float = 0.0
-
-
 def numbered(runs: int) -> dict[str, int]:
     """The numbers of the runs, as tasks of a pool."""
     return {f"{number}": number for number in range(runs)}
-
-
-def mission_of_run(study: Study, split: int, run: int) -> Mission:
-    """The mission of a run, the same for all approaches."""
-    stream, dvl = _stream_of_run(study, split, run), _dvl_of(study)
-    return simulate(AUV, PROFILES[study.scenario], seed=stream, duration=study.duration, dvl=dvl)
-
-
-def _stream_of_run(study: Study, split: int, run: int) -> np.random.SeedSequence:
-    return np.random.SeedSequence(study.seed, spawn_key=(split, run))
-
-
-def _dvl_of(study: Study) -> DvlModel:
-    return DvlModel(
-        rate=study.dvl_rate,
-        noise_std=(study.dvl_std,) * 3,
-        outlier_probability=study.outliers,
-        outlier_size=OUTLIER,
-    )
-
-
-def initial_of_run(mission: Mission, study: Study, split: int, run: int) -> Initial:
-    """Initial state of the filters in a run: the truth with an error drawn from P_0."""
-    stream = np.random.SeedSequence(study.seed, spawn_key=(_INITIAL, split, run))
-    rng = np.random.default_rng(stream)
-    return drawn_initial(mission.initial, P_0, rng, stamp_ns=mission.start_ns)
 
 
 class Run:
@@ -152,10 +90,12 @@ class Run:
     Attributes:
         mission: The mission, in NED and forward-right-down.
         truth: The truth at the stamps of the IMU.
+        outages: Of the DVL.
     """
 
     def __init__(self, study: Study, split: int, number: int) -> None:
         self._of = study, split, number
+        self.outages = study.outages
         self.mission = mission_of_run(study, split, number)
         truth = self.mission.truth
         self.truth = track(truth.C_n_b, truth.v_n, truth.p_o)
@@ -241,11 +181,12 @@ class Run:
             study, split, number = self._of
             model = taught_model(
                 lessons_of(
-                    PROFILES[study.scenario],
-                    _dvl_of(study),
+                    study.noise,
+                    replace(study.dvl, outages=()),
                     approach.parameters,
-                    vehicle=_stream_of_run(study, split, number),
+                    vehicle=stream_of_run(study, split, number),
                     seed=np.random.SeedSequence(study.seed, spawn_key=(_TEACHING, split, number)),
+                    imu=study.imu,
                 )
             )
             return self.learned(model.variances, model.window, model.history, RATE)
@@ -279,11 +220,21 @@ def perfect_heading(result: Track, truth: Track) -> Track:
     return replace(result, C_n_b=Rotation.from_rotvec(psi).as_matrix() @ result.C_n_b)
 
 
-def failed(result: Track, truth: Track, rate: float) -> bool:
-    """Whether a result is not finite, or its body velocity was off for `FAILURE_TIME`."""
+def failed(
+    result: Track, truth: Track, rate: float, silent: tuple[outages.Outage, ...] = ()
+) -> bool:
+    """Whether a result is not finite, or its body velocity was off for `FAILURE_TIME`.
+
+    Args:
+        result: The result.
+        truth: At the same samples, one interval of the IMU after the start and on.
+        rate: Of the IMU [Hz].
+        silent: Outages of the DVL, in which a drift is no failure.
+    """
     if not all(np.isfinite(a).all() for a in (result.C_n_b, result.v_b, result.p_o)):
         return True
     lost = np.linalg.norm(result.v_b - truth.v_b, axis=1) > FAILURE_SPEED
+    lost &= outages.outside(np.arange(1, lost.size + 1) / rate, silent)
     ends = np.flatnonzero(np.diff(np.concatenate([[0], lost.astype(int), [0]])))
     return bool((np.diff(ends)[::2] >= FAILURE_TIME * rate).any())
 
@@ -302,7 +253,7 @@ def assess(fold: FoldResult, run: Run) -> tuple[Array, Array]:
     seconds = slice(_NEES_RATE - 1, None, _NEES_RATE)  # among those samples, whose states are kept
     series = np.full((len(s[seconds]), len(SERIES)), np.nan)
     result = track_of(fold)
-    if failed(result, truth, rate):
+    if failed(result, truth, rate, run.outages):
         return _failure(), series
     values = _errors(result, truth)
 
@@ -333,6 +284,16 @@ def assess(fold: FoldResult, run: Run) -> tuple[Array, Array]:
         ("nees_position", dp, P[:, POSITION, POSITION]),
     ):
         values[name] = float(np.mean(nees(error, covariance))) / error.shape[1]
+    if run.outages:
+        values |= outages.errors_at_ends(
+            run.outages,
+            (m.stamps_ns[at] - m.start_ns) / NS,
+            dv=dv,
+            P_v=P_va[:, :3, :3],
+            dp=dp,
+            P_p=P[:, POSITION, POSITION],
+            position=(truth.p_o - result.p_o)[at],
+        )
 
     reports = [update.report for update in fold.updates if update.report.judged]
     z = normalised_innovations(
@@ -365,6 +326,7 @@ def _errors(result: Track, truth: Track) -> dict[str, float]:
         "heading_rmse_deg": s.heading_rmse_deg,
         "tilt_rmse_deg": s.tilt_rmse_deg,
         "position_drift_percent": s.position_drift_percent,
+        "depth_rmse": rmse((truth.p_o - result.p_o)[:, 2]),
         "failed": 0.0,
     }
 

@@ -42,6 +42,7 @@ def comparison_tables(document: Mapping[str, Any]) -> str:
 def _errors(document: Mapping[str, Any]) -> str:
     """Mean errors of each row with their 95 % intervals, and the published numbers."""
     metrics = ("body_rmse", "srmse", "smae", "heading_rmse_deg", "tilt_rmse_deg")
+    with_depth = any("depth_rmse" in row for row in document["rows"])
     head = [
         "approach",
         "body velocity RMSE [m/s]",
@@ -50,6 +51,7 @@ def _errors(document: Mapping[str, Any]) -> str:
         "heading [deg]",
         "tilt [deg]",
         "drift [%]",
+        *(["depth [m]"] if with_depth else []),
         "failures",
         "published SRMSE / SMAE",
     ]
@@ -60,12 +62,14 @@ def _errors(document: Mapping[str, Any]) -> str:
         drift = _with_ends(row, "position_drift_percent", 1)
         if name == ZERO_VELOCITY:  # it has none of these
             cells[3:], drift = ["–", "–"], "–"
+        depth = [_with_ends(row, "depth_rmse", 3)] if with_depth else []
         published = PUBLISHED.get(name)
         body.append(
             [
                 _settings(document, name),
                 *cells,
                 drift,
+                *depth,
                 str(row["failures"]),
                 f"{published[0]:.3f} / {published[1]:.3f}" if published else "",
             ]

@@ -13,9 +13,10 @@ from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.simulation.drawn.scenarios import Scenario
 from insdvl.simulation.initial_errors import P_0, drawn_initial
-from insdvl.simulation.mission import simulate
+from insdvl.simulation.mission import DEFAULT_IMU, simulate
 from insdvl.simulation.noise import ProfileFactory
 from insdvl.simulation.sensors.dvl import DvlModel
+from insdvl.simulation.sensors.imu import ImuModel
 from insdvl.simulation.trajectories import BASELINE
 from insdvl.studies.teaching.lesson import Lesson, lesson_of
 from insdvl.studies.teaching.teach import TeachingError, constant_of, teach
@@ -36,6 +37,7 @@ def lessons_of(
     vehicle: np.random.SeedSequence,
     seed: np.random.SeedSequence,
     missions: int = MISSIONS,
+    imu: ImuModel = DEFAULT_IMU,
 ) -> list[Lesson]:
     """Missions of a vehicle as lessons.
 
@@ -46,6 +48,7 @@ def lessons_of(
         vehicle: Seed of the mission that the vehicle was drawn for.
         seed: Of the missions.
         missions: Of each trajectory.
+        imu: Of the run.
     """
     source = replace(parameters.process_noise, source="constant")
     parameters = replace(parameters, process_noise=source)
@@ -54,7 +57,7 @@ def lessons_of(
         drawn, of_initial = own.spawn(2)
         name, trajectory = list(BASELINE.items())[number % len(BASELINE)]
         mission = simulate(
-            trajectory, noise, seed=drawn, duration=DURATION, dvl=dvl, vehicle=vehicle
+            trajectory, noise, seed=drawn, duration=DURATION, imu=imu, dvl=dvl, vehicle=vehicle
         )
         rng = np.random.default_rng(of_initial)
         start = drawn_initial(mission.initial, P_0, rng, stamp_ns=mission.start_ns)

@@ -37,7 +37,16 @@ from insdvl.studies.evaluation.approaches import (
 )
 from insdvl.studies.evaluation.comparison import Plan, compare
 from insdvl.studies.report.plots import draw_errors_over_time
-from insdvl.studies.results import accuracy, forest, page, recordings, vehicle, window, withheld
+from insdvl.studies.results import (
+    accuracy,
+    breadth,
+    forest,
+    page,
+    recordings,
+    vehicle,
+    window,
+    withheld,
+)
 from insdvl.tuner.models import load_model
 
 #: Rows of the tables that show what an error state or the gate changes.
@@ -72,7 +81,8 @@ PLANS: Mapping[str, Plan] = {
 #: Rows with a model of the studies on recordings.
 _ON_RECORDINGS = ("hcf paper", "hcf default", BANDS)
 ACCURACY, WINDOW, VEHICLE, WITHHELD = "q-accuracy", "window", "vehicle", "withheld"
-PARTS = (ACCURACY, *PLANS, WINDOW, VEHICLE, WITHHELD)
+BREADTH = "breadth"
+PARTS = (ACCURACY, *PLANS, BREADTH, WINDOW, VEHICLE, WITHHELD)
 _OF_RECORDINGS = (VEHICLE, WITHHELD)
 _WINDOW_RUNS = 10
 _RECORDING_RUNS, _RECORDING_TUNING_RUNS = 10, 3  # for each recording and injection
@@ -131,6 +141,12 @@ def _compute(part: str, arguments: argparse.Namespace, folder: Path, pool: Pool)
         drawn = {row: compared.series[row] for row in _DRAWN if row in compared.series}
         if not part.endswith("-spectrum"):  # vehicles differ: a mean over them says little
             draw_errors_over_time(folder / f"{part}.png", part, drawn)
+    elif part == BREADTH:
+        runs = {"runs": arguments.runs, "tuning_runs": arguments.tuning_runs, "seed": seed}
+        plans = breadth.with_runs(breadth.plans(), **runs)
+        source = Path(breadth.__file__)
+        store = Store(work, {"plans": [asdict(plan) for plan in plans], "models": models}, source)
+        document = breadth.study_breadth(plans, pool, store)
     elif part in _OF_RECORDINGS:
         settings = recordings.Settings.load(arguments.config)
         recorded = recordings.load_all(arguments.recordings, settings)

@@ -12,7 +12,9 @@ from insdvl.simulation.noise import SCENARIO_TEXTS, SCENARIOS
 from insdvl.studies.evaluation.tables import comparison_tables
 from insdvl.studies.report.markdown import interval, number, table
 from insdvl.studies.results.accuracy import accuracy_tables
+from insdvl.studies.results.breadth import outages_tables, rates_tables
 from insdvl.studies.results.targets import (
+    OF_BREADTH,
     OF_SPECTRUM,
     TARGETS,
     Documents,
@@ -166,7 +168,8 @@ noise. `bands` is the model that was learned from the spectra of simulated vehic
 spectrum` are closed forms of the same spectra, `closed form` is the variance around a polynomial.
 *Adaptive* filters use the innovations: by variational Bayes, and by the recursions of Sage and Husa
 for Q, or for Q and R ([filter.md](../explanation/filter.md)). The oracle receives the effective
-variances.
+variances. White noise is what `default` was trained on ([calibrated.md](calibrated.md)). `bands`
+does not take for granted that noise is white: it knows less of white noise than `default` does.
 """,
         [
             "## Targets\n\nSet before the measurement. The upper end of an interval has to meet "
@@ -294,12 +297,40 @@ floors of the configuration hold, and in the rows *no floor* they do not.
     )
 
 
+def _breadth(documents: Documents) -> str:
+    document, parts = documents.get("breadth"), [_missing("breadth")]
+    if document:
+        parts = [
+            f"## Grades of IMU and rates of the DVL\n\n{rates_tables(document)}",
+            f"## Outages of the DVL\n\n{outages_tables(document)}",
+        ]
+    return _section(
+        "Other IMUs, other rates, and outages",
+        """
+Does the process noise that was learned from spectra also serve an IMU of another grade, a DVL that
+is faster or slower, and a minute without DVL? Scenarios and rows are those of
+[spectrum.md](spectrum.md); grades and outages are in
+[effective-noise.md](../explanation/effective-noise.md#8-scenarios). The noise of the DVL is 0.1
+m/s. `bands` was trained on other IMUs, with 1 and 5 Hz, and without outages. Drift is the change
+of the position's error in an outage. NEES is 1 for a filter that is right about itself; that of the
+position at the end of an outage has the drift and what was wrong before.
+""",
+        [
+            "## Targets\n\nSet before the measurement. Each has to be met by every line of its "
+            "scenario, with the upper end\nof the interval of a ratio.\n\n"
+            + targets_table(documents, OF_BREADTH),
+            *parts,
+        ],
+    )
+
+
 #: The pages, by name.
 _PAGES: Mapping[str, Callable[[Documents], str]] = {
     "targets": _targets,
     "variance": _accuracy,
     "calibrated": _calibrated,
     "spectrum": _spectrum,
+    "breadth": _breadth,
     "published": _published,
     "error-state-and-gate": _error_state_and_gate,
     "window": _window,

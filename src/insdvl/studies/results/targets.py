@@ -4,7 +4,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from insdvl.studies.report.markdown import interval, table
+from insdvl.studies.evaluation.approaches import BANDS, BANDS_WITH_R, BEST_CONSTANT, ORACLE
+from insdvl.studies.report.markdown import interval, number, table
+from insdvl.studies.results import breadth
 
 Documents = Mapping[str, Any]
 
@@ -28,7 +30,12 @@ def row(document: Mapping[str, Any], approach: str) -> Mapping[str, Any] | None:
 
 
 def _ratio(
-    part: str, reference: str, metric: str, limit: float, model: str = "hcf default"
+    part: str,
+    reference: str,
+    metric: str,
+    limit: float,
+    model: str = "hcf default",
+    words: str = "learned",
 ) -> Target:
     """The upper end of the interval of a paired ratio of a learned model."""
 
@@ -45,7 +52,7 @@ def _ratio(
 
     scenario = part.rpartition("-")[0]
     name = {"body_rmse": "body velocity", "srmse": "SRMSE"}[metric]
-    return Target(f"`{scenario}`: {name}, learned / {reference}, at most {limit:g}", measured)
+    return Target(f"`{scenario}`: {name}, {words} / {reference}, at most {limit:g}", measured)
 
 
 def _nees(part: str, block: str) -> Target:
@@ -195,8 +202,103 @@ def _of_bands(scenario: str) -> tuple[Target, ...]:
 OF_SPECTRUM = (
     *(target for name in ("vibrating", "coloured", "realistic") for target in _of_bands(name)),
     _ratio("waves-spectrum", "best constant", "body_rmse", 1.0, "bands"),
-    _ratio("varying-spectrum", "oracle", "body_rmse", 1.003, "bands"),
-    _ratio("wide-spectrum", "oracle", "body_rmse", 1.008, "bands"),
+    *(
+        target
+        for scenario, limit in (("varying", 1.003), ("wide", 1.008))
+        for target in (
+            _ratio(f"{scenario}-spectrum", "oracle", "body_rmse", limit, "bands", "`bands`"),
+            _ratio(f"{scenario}-calibrated", "oracle", "body_rmse", limit, words="`default`"),
+        )
+    ),
+)
+
+
+#: Of a row in a comparison of breadth: its text, and by how much it misses or meets its target.
+Judged = tuple[str, float]
+
+
+def _everywhere(
+    scenario: str,
+    words: str,
+    judge: Callable[[Mapping[str, Any]], Judged | None],
+    *,
+    outage: float = 0.0,
+) -> Target:
+    """A target of all comparisons of a scenario with outages of a length, or without."""
+
+    def measured(documents: Documents) -> tuple[str, bool] | None:
+        found = [
+            (breadth.configuration(one), judge(one))
+            for one in documents.get("breadth", {"comparisons": []})["comparisons"]
+            if one["scenario"] == scenario and one["outage"] == outage
+        ]
+        if not found:
+            return None
+        # A row that is missing or has failed meets no target.
+        excess = {name: float("inf") if j is None else j[1] for name, j in found}
+        texts = {name: "failed" if j is None else j[0] for name, j in found}
+        worst, met = max(excess, key=excess.__getitem__), sum(x <= 0.0 for x in excess.values())
+        text = f"{met} of {len(found)}; worst {texts[worst]} ({worst})"
+        return text, met == len(found)
+
+    return Target(f"`{scenario}`: {words}", measured)
+
+
+def _at_most(
+    row_: str, reference: str, metric: str, limit: float
+) -> Callable[[Mapping[str, Any]], Judged | None]:
+    def judge(comparison: Mapping[str, Any]) -> Judged | None:
+        found = breadth.ratio(comparison, row_, reference, metric)
+        return None if found is None else (interval(found), found[2] - limit)
+
+    return judge
+
+
+def _within(
+    row_: str, block: str, low: float, high: float
+) -> Callable[[Mapping[str, Any]], Judged | None]:
+    def judge(comparison: Mapping[str, Any]) -> Judged | None:
+        found = breadth.row_of(comparison, row_)
+        if not found:
+            return None
+        value = found["nees_per_dof"][block]
+        return number(value, 2), max(low - value, value - high)
+
+    return judge
+
+
+def _of_breadth(scenario: str, row_: str) -> tuple[Target, ...]:
+    low, high = (0.85, 1.15) if scenario == "coloured" else (0.9, 1.1)
+    return (
+        _everywhere(
+            scenario,
+            f"body velocity, `{row_}` / best constant, at most 1, with all IMUs and rates",
+            _at_most(row_, BEST_CONSTANT, "body_rmse", 1.0),
+        ),
+        _everywhere(
+            scenario,
+            f"NEES of the velocity, `{row_}`, in [{low:g}, {high:g}], with all IMUs and rates",
+            _within(row_, "velocity", low, high),
+        ),
+        _everywhere(
+            scenario,
+            f"drift after 60 s, `{row_}` / oracle, at most 1.05, with all IMUs",
+            _at_most(row_, ORACLE, "outage_drift", 1.05),
+            outage=breadth.LENGTH,
+        ),
+        _everywhere(
+            scenario,
+            f"NEES of the horizontal position after 60 s, `{row_}`, in [0.8, 1.25], with all IMUs",
+            _within(row_, "outage_position", 0.8, 1.25),
+            outage=breadth.LENGTH,
+        ),
+    )
+
+
+#: Of the page on other IMUs, rates and outages.
+OF_BREADTH = (
+    *(target for scenario in breadth.SCENARIOS for target in _of_breadth(scenario, BANDS)),
+    *_of_breadth("realistic", BANDS_WITH_R),
 )
 
 

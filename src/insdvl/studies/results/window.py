@@ -16,14 +16,8 @@ from insdvl.jobs.store import Store
 from insdvl.studies.evaluation import statistics
 from insdvl.studies.evaluation.approaches import Setting
 from insdvl.studies.evaluation.metrics import rmse
-from insdvl.studies.evaluation.monte_carlo import (
-    CHANGES,
-    TEST,
-    Run,
-    Study,
-    numbered,
-    track_of,
-)
+from insdvl.studies.evaluation.missions import CHANGES, TEST, Study
+from insdvl.studies.evaluation.monte_carlo import Run, numbered, track_of
 from insdvl.studies.report.markdown import interval, number, table
 from insdvl.studies.training import ensemble
 from insdvl.timeline.output import FoldResult

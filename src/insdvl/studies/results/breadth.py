@@ -1,0 +1,234 @@
+"""The comparison with other IMUs, other rates of the DVL, and outages of the DVL.
+
+The scenarios are those whose noise is not white. Each grade of IMU meets each rate, and outages at
+1 Hz: of a minute in all scenarios, shorter and longer ones in the one with everything together.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from itertools import product
+from typing import Any
+
+from insdvl.jobs.pool import Pool
+from insdvl.jobs.store import Store
+from insdvl.simulation.grades import GRADES
+from insdvl.studies.evaluation.approaches import (
+    BANDS,
+    BANDS_WITH_R,
+    BEST_CONSTANT,
+    CLOSED_FORM,
+    LEAST_BAND,
+    ORACLE,
+    Setting,
+)
+from insdvl.studies.evaluation.comparison import Plan, compare
+from insdvl.studies.report.markdown import interval, number, table
+
+SCENARIOS = ("vibrating", "coloured", "waves", "realistic")
+RATES = (5.0, 1.0, 0.2)  # Hz
+#: Lengths of the outages [s], in all scenarios and in the last.
+LENGTH, LENGTHS = 60.0, (30.0, 60.0, 120.0)
+RUNS = 10
+
+#: In the order of the tables. What is learned of R has a meaning where R is not that of the data
+#: sheet, which is in `realistic`.
+_ROWS = (BEST_CONSTANT, CLOSED_FORM, LEAST_BAND, BANDS, ORACLE, BANDS_WITH_R)
+#: Of a row of a comparison; the rest would repeat what follows from the numbers of the runs.
+_KEPT = (
+    *("failures", "body_rmse", "depth_rmse", "position_drift_percent"),
+    *("outage_velocity", "outage_drift", "outage_depth"),
+    *("nees_per_dof", "ratio_to"),
+)
+
+
+def rows_of(scenario: str) -> tuple[str, ...]:
+    """The rows of a comparison, in the order of the tables."""
+    return tuple(row for row in _ROWS if row != BANDS_WITH_R or scenario == "realistic")
+
+
+def plans() -> list[Plan]:
+    """The comparisons: one for each line of the tables."""
+    found = []
+    for scenario, grade in product(SCENARIOS, GRADES):
+        lengths = LENGTHS if scenario == SCENARIOS[-1] else (LENGTH,)
+        settings = [Setting("calibrated", dvl_rate=rate, imu_grade=grade) for rate in RATES]
+        settings += [Setting("calibrated", outage=length, imu_grade=grade) for length in lengths]
+        found += [Plan(scenario, setting, RUNS, rows=rows_of(scenario)) for setting in settings]
+    return found
+
+
+def study_breadth(
+    planned: Sequence[Plan], pool: Pool, store: Store | None = None
+) -> dict[str, Any]:
+    """The numbers of all comparisons.
+
+    Args:
+        planned: See `plans`; those with other numbers of runs differ in these only.
+        pool: Computes the runs.
+        store: Keeps finished runs; searches are the same with outages and without.
+    """
+    first = planned[0]
+    return {
+        "runs": first.runs,
+        "tuning_runs": first.tuning_runs,
+        "seed": first.seed,
+        "comparisons": [_condensed(compare(plan, pool, store).document) for plan in planned],
+    }
+
+
+def _condensed(document: Mapping[str, Any]) -> dict[str, Any]:
+    setting = document["plan"]["setting"]
+    return {
+        "scenario": document["plan"]["scenario"],
+        **{name: setting[name] for name in ("imu_grade", "dvl_rate", "outage")},
+        "omitted": document["omitted"],
+        "paired_runs": document["paired_runs"],
+        "best_constant": document["searches"][BEST_CONSTANT]["best"],
+        "rows": [
+            {"approach": row["approach"]} | {name: row[name] for name in _KEPT if name in row}
+            for row in document["rows"]
+        ],
+        "per_run": document["per_run"],
+    }
+
+
+def row_of(comparison: Mapping[str, Any], approach: str) -> Mapping[str, Any]:
+    """A row of a comparison; empty where it is missing, or has failed too often to be compared."""
+    for row in comparison["rows"]:
+        if row["approach"] == approach and row["ratio_to"]:
+            found: Mapping[str, Any] = row
+            return found
+    return {}
+
+
+def ratio(
+    comparison: Mapping[str, Any], approach: str, reference: str, metric: str
+) -> Sequence[float] | None:
+    """Middle and ends of the ratio of a row to another; None where either is missing."""
+    ratios: Mapping[str, Any] = row_of(comparison, approach).get("ratio_to", {})
+    found: Sequence[float] | None = ratios.get(reference, {}).get(metric)
+    return found
+
+
+# ---------------------------------------------------------------- tables
+
+
+def rates_tables(document: Mapping[str, Any]) -> str:
+    """The tables of the missions without outages."""
+    comparisons = [one for one in document["comparisons"] if not one["outage"]]
+    return "\n".join(
+        [
+            "Body velocity: RMSE of the oracle, and ratios of RMSE with their 95 % intervals.\n",
+            _ratios(comparisons, "body_rmse"),
+            "NEES of the velocity per degree of freedom, and error of the depth.\n",
+            _lines(
+                comparisons,
+                {
+                    **{
+                        f"NEES, {row}": _nees(row, "velocity")
+                        for row in (BEST_CONSTANT, LEAST_BAND, BANDS, BANDS_WITH_R, ORACLE)
+                    },
+                    **{
+                        f"depth [m], {row}": _value(row, "depth_rmse", 2)
+                        for row in (BEST_CONSTANT, BANDS, ORACLE)
+                    },
+                },
+            ),
+            _notes(document, comparisons),
+        ]
+    )
+
+
+def outages_tables(document: Mapping[str, Any]) -> str:
+    """The tables of the missions with outages."""
+    comparisons = [one for one in document["comparisons"] if one["outage"]]
+    return "\n".join(
+        [
+            "Horizontal drift in an outage: RMS of the oracle, and ratios with their 95 % "
+            "intervals.\n",
+            _ratios(comparisons, "outage_drift", "m"),
+            "Velocity at the end of an outage: RMS of the oracle, and ratios.\n",
+            _ratios(comparisons, "outage_velocity"),
+            "Drift of the depth [m], RMS.\n",
+            _lines(comparisons, {row: _value(row, "outage_depth", 2) for row in _ROWS}),
+            "NEES per degree of freedom at the end of an outage: of the velocity, of the "
+            "horizontal position, of the depth.\n",
+            _lines(comparisons, {row: _three(row) for row in _ROWS}),
+            _notes(document, comparisons),
+        ]
+    )
+
+
+_Cell = Callable[[Mapping[str, Any]], str]
+
+
+def _ratios(comparisons: Sequence[Mapping[str, Any]], metric: str, unit: str = "m/s") -> str:
+    def to(row: str, reference: str) -> _Cell:
+        return lambda comparison: interval(ratio(comparison, row, reference, metric))
+
+    return _lines(
+        comparisons,
+        {
+            f"oracle [{unit}]": _value(ORACLE, metric, 3),
+            **{f"{row} / oracle": to(row, ORACLE) for row in _ROWS if row != ORACLE},
+            f"{BANDS} / {BEST_CONSTANT}": to(BANDS, BEST_CONSTANT),
+        },
+    )
+
+
+def _value(row: str, metric: str, digits: int) -> _Cell:
+    return lambda comparison: number(row_of(comparison, row).get(metric), digits)
+
+
+def _nees(row: str, block: str) -> _Cell:
+    return lambda comparison: number(row_of(comparison, row).get("nees_per_dof", {}).get(block), 2)
+
+
+def _three(row: str) -> _Cell:
+    blocks = [_nees(row, f"outage_{block}") for block in ("velocity", "position", "depth")]
+    return lambda comparison: ", ".join(block(comparison) for block in blocks)
+
+
+def _lines(comparisons: Sequence[Mapping[str, Any]], columns: Mapping[str, _Cell]) -> str:
+    """A table with one line for each comparison."""
+    body = [
+        [name_of(comparison), *(cell(comparison) for cell in columns.values())]
+        for comparison in comparisons
+    ]
+    return table(["scenario, IMU, DVL", *columns], body)
+
+
+def name_of(comparison: Mapping[str, Any]) -> str:
+    """Scenario, IMU, and rate or outage of a comparison."""
+    return f"`{comparison['scenario']}`, {configuration(comparison)}"
+
+
+def configuration(comparison: Mapping[str, Any]) -> str:
+    """IMU, and rate or outage of a comparison."""
+    length, rate = comparison["outage"], comparison["dvl_rate"]
+    dvl = f"{length:g} s" if length else f"{rate:g} Hz"
+    return f"{comparison['imu_grade']}, {dvl}"
+
+
+def _notes(document: Mapping[str, Any], comparisons: Sequence[Mapping[str, Any]]) -> str:
+    lines = [
+        f"{document['runs']} runs of each line, seed {document['seed']}; the best constant is "
+        "searched for each scenario, IMU and rate, without outages, on "
+        f"{document['tuning_runs']} runs with other seeds."
+    ]
+    for comparison in comparisons:
+        name, paired = name_of(comparison), comparison["paired_runs"]
+        if paired < document["runs"]:
+            lines.append(f"{name}: {paired} runs in which no row failed.")
+        lines += [f"{name}: without {row} ({why})." for row, why in comparison["omitted"].items()]
+    return "\n".join(lines) + "\n"
+
+
+def with_runs(
+    planned: Sequence[Plan], *, runs: int | None, tuning_runs: int, seed: int
+) -> list[Plan]:
+    """Plans with other numbers of runs; None leaves the number as it is."""
+    return [
+        replace(plan, runs=runs or plan.runs, tuning_runs=tuning_runs, seed=seed)
+        for plan in planned
+    ]

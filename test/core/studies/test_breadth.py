@@ -1,0 +1,137 @@
+"""The study of other IMUs, rates and outages: what is planned, its page and its targets."""
+
+from copy import deepcopy
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+
+import pytest
+
+from insdvl.jobs.options import Workers
+from insdvl.jobs.pool import open_pool
+from insdvl.jobs.store import Store
+from insdvl.studies.evaluation import comparison
+from insdvl.studies.results import breadth
+from insdvl.studies.results.page import pages
+
+
+@pytest.fixture(scope="module")
+def document(tmp_path_factory: pytest.TempPathFactory) -> dict:
+    """Three lines of two IMUs, with short missions and a search among two constants."""
+    search, folder = comparison.constants, tmp_path_factory.mktemp("store")
+    short = [
+        replace(plan, duration=155.0, rows=("best constant", "bands", "oracle"))
+        for plan in breadth.plans()
+        if plan.scenario == "coloured"
+        and plan.setting.imu_grade in ("fog", "mems")
+        and plan.setting.dvl_rate != 5.0
+    ]
+    planned = breadth.with_runs(short, runs=2, tuning_runs=2, seed=4)
+    with pytest.MonkeyPatch.context() as patch, open_pool(Workers(jobs=1)) as pool:
+        patch.setattr(comparison, "constants", lambda *given: search(*given)[:2])
+        store = Store(folder, {}, Path(breadth.__file__))
+        return breadth.study_breadth(planned, pool, store) | {"environment": {}}
+
+
+def page_of(document: dict) -> str:
+    return pages({"breadth": document})["breadth"]
+
+
+def comparison_of(document: dict, grade: str, rate: float, outage: float) -> dict:
+    (found,) = [
+        one
+        for one in document["comparisons"]
+        if (one["imu_grade"], one["dvl_rate"], one["outage"]) == (grade, rate, outage)
+    ]
+    return found
+
+
+def bands_of(found: dict) -> dict:
+    return next(row for row in found["rows"] if row["approach"] == "bands")
+
+
+def test_each_grade_meets_each_rate_and_outages() -> None:
+    planned = breadth.plans()
+    grades = {"fog", "tactical", "mems"}
+    found = {
+        (p.scenario, p.setting.imu_grade, p.setting.dvl_rate, p.setting.outage) for p in planned
+    }
+    assert found == {
+        *product(breadth.SCENARIOS, grades, (5.0, 1.0, 0.2), (0.0,)),
+        *product(breadth.SCENARIOS, grades, (1.0,), (60.0,)),
+        *product(("realistic",), grades, (1.0,), (30.0, 120.0)),
+    }
+    # The store keeps the runs by the label, and the searches by the vehicle.
+    assert len({plan.label for plan in planned}) == len(planned) == len(found)
+    assert len({plan.vehicle for plan in planned}) == 36
+    with_r = {plan.scenario for plan in planned if "bands with R adaptive" in plan.rows}
+    assert with_r == {"realistic"}
+
+
+def test_the_constant_is_searched_without_outages(document: dict) -> None:
+    for grade in ("fog", "mems"):
+        constants = [comparison_of(document, grade, 1.0, x)["best_constant"] for x in (0.0, 60.0)]
+        assert constants[0] == constants[1]
+        own = [
+            bands_of(comparison_of(document, grade, 1.0, outage))["body_rmse"]
+            for outage in (0.0, 60.0)
+        ]
+        assert own[0] < own[1]
+
+
+def line_of(text: str, *words: str) -> str:
+    (line,) = [x for x in text.splitlines() if all(word in x for word in words)]
+    return line
+
+
+def test_the_page_has_the_numbers_of_the_document(document: dict) -> None:
+    text = page_of(document)
+    oracle = breadth.row_of(comparison_of(document, "fog", 1.0, 60.0), "oracle")
+    lines = [x for x in text.splitlines() if x.startswith("| `coloured`, fog, 60 s |")]
+    assert f"| {oracle['outage_drift']:.3f} |" in lines[0]
+    assert f"| {oracle['outage_velocity']:.3f} |" in lines[1]
+    nees = oracle["nees_per_dof"]
+    blocks = [f"{nees[f'outage_{name}']:.2f}" for name in ("velocity", "position", "depth")]
+    assert ", ".join(blocks) in lines[3]
+    slow = comparison_of(document, "mems", 0.2, 0.0)
+    middle, low, high = breadth.ratio(slow, "bands", "best constant", "body_rmse")
+    lines = [x for x in text.splitlines() if x.startswith("| `coloured`, mems, 0.2 Hz |")]
+    assert lines[0].endswith(f"| {middle:.3f} [{low:.3f}, {high:.3f}] |")
+    assert "2 runs of each line, seed 4" in text
+
+
+def test_a_target_is_met_when_every_line_meets_it(document: dict) -> None:
+    changed = deepcopy(document)
+    of_bands = [bands_of(one) for one in changed["comparisons"] if not one["outage"]]
+    for row in of_bands:
+        row["ratio_to"]["best constant"]["body_rmse"] = [0.97, 0.96, 0.99]
+        row["nees_per_dof"]["velocity"] = 1.0
+    slow = bands_of(comparison_of(changed, "mems", 0.2, 0.0))
+    slow["ratio_to"]["best constant"]["body_rmse"] = [0.98, 0.97, 1.0]
+    words = "`coloured`: body velocity, `bands` / best constant"
+    assert line_of(page_of(changed), words).endswith(
+        "| 4 of 4; worst 0.980 [0.970, 1.000] (mems, 0.2 Hz) | yes |"
+    )
+    slow["ratio_to"]["best constant"]["body_rmse"][2] = 1.001
+    bands_of(comparison_of(changed, "fog", 1.0, 0.0))["nees_per_dof"]["velocity"] = 0.84
+    text = page_of(changed)
+    assert line_of(text, words).endswith(
+        "| 3 of 4; worst 0.980 [0.970, 1.001] (mems, 0.2 Hz) | **no** |"
+    )
+    line = line_of(text, "`coloured`: NEES of the velocity")
+    assert line.endswith("| 3 of 4; worst 0.84 (fog, 1 Hz) | **no** |")
+
+
+def test_a_row_that_has_failed_meets_no_target(document: dict) -> None:
+    changed = deepcopy(document)
+    bands_of(comparison_of(changed, "mems", 1.0, 60.0))["ratio_to"] = {}
+    line = line_of(page_of(changed), "`coloured`: drift after 60 s")
+    assert line.endswith("; worst failed (mems, 60 s) | **no** |")
+
+
+def test_an_outage_of_another_length_is_not_judged(document: dict) -> None:
+    changed = deepcopy(document)
+    for grade in ("fog", "mems"):
+        comparison_of(changed, grade, 1.0, 60.0)["outage"] = 120.0
+    line = line_of(page_of(changed), "`coloured`: drift after 60 s")
+    assert line.endswith("| not computed |  |")
