@@ -18,6 +18,7 @@ from insdvl.studies.evaluation.approaches import (
     BEST_CONSTANT,
     CLOSED_FORM,
     LEAST_BAND,
+    MATCHED,
     ORACLE,
     Setting,
 )
@@ -32,7 +33,7 @@ RUNS = 10
 
 #: In the order of the tables. What is learned of R has a meaning where R is not that of the data
 #: sheet, which is in `realistic`.
-_ROWS = (BEST_CONSTANT, CLOSED_FORM, LEAST_BAND, BANDS, ORACLE, BANDS_WITH_R)
+_ROWS = (BEST_CONSTANT, CLOSED_FORM, LEAST_BAND, BANDS, ORACLE, MATCHED, BANDS_WITH_R)
 #: Of a row of a comparison; the rest would repeat what follows from the numbers of the runs.
 _KEPT = (
     *("failures", "body_rmse", "depth_rmse", "position_drift_percent"),
