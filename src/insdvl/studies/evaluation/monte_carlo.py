@@ -46,8 +46,9 @@ from insdvl.studies.evaluation.taught import lessons_of, taught_model
 from insdvl.timeline.output import FoldResult
 from insdvl.timeline.recorded import fold_arrays
 from insdvl.tuner.measurement_noise import DvlTuner
-from insdvl.tuner.offline import Estimator, tuned, tuned_by_own
+from insdvl.tuner.offline import tuned, tuned_by_own
 from insdvl.tuner.parameters import TunerParameters
+from insdvl.tuner.windows import Estimator
 
 #: Splits: first keys of the random streams.
 TEST, TUNING = 2000, 2001
