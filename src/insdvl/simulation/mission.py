@@ -225,10 +225,10 @@ def simulate(
     )
     error = bias + white_noise(q, noise_rng)
     if drawn is None:
-        readings += error
+        readings = imu.filtered(readings + error)
     else:
         error += drawn.imu.noise(begins, dt, error_rng)
-        readings = drawn.imu.counted(drawn.imu.distorted(readings) + error, dt)
+        readings = drawn.imu.counted(imu.filtered(drawn.imu.distorted(readings) + error), dt)
 
     ping_ns = _stamps(duration, dvl.rate)
     pings = trajectory.truth(np.minimum(ping_ns / NS, duration), earth_rate=earth_rate)

@@ -13,15 +13,16 @@ from numpy.typing import NDArray
 
 from insdvl.arrays import Array, Stamps
 from insdvl.navigation.events import NS
+from insdvl.tuner.features.differences import bounded
+from insdvl.tuner.models import Model
 from insdvl.tuner.own import HISTORY, WINDOW, OwnEstimator
-from insdvl.tuner.windows import CHANNELS, period, rate_of
+from insdvl.tuner.parameters import TunerParameters
+from insdvl.tuner.pooling import pool_of, pooled
+from insdvl.tuner.windows import CHANNELS, Estimator, period, rate_of
 
 Indices = NDArray[np.intp]
 
-_AT_ONCE = 64  # windows; a history of 2000 samples of six channels takes 96 kilobytes
-
-#: Windows (M, N) of one channel each to the variances (M,) of their noise.
-Estimator = Callable[[Array], Array]
+_AT_ONCE = 64  # windows; 2000 samples of six channels take 96 kilobytes, at 1 kHz ten times that
 
 
 def closing_samples(
@@ -84,38 +85,69 @@ def tuned(
     Raises:
         ValueError: The stamps do not increase, or `estimate` rejects a window.
     """
-    return at_windows(stamps_ns, samples, estimate, (), window, rate, max_gap_ns, history)
+    return at_windows(
+        stamps_ns, samples, lambda x, _: estimate(x), (), window, rate, max_gap_ns, history
+    )
+
+
+def tuned_by_model(
+    stamps_ns: Stamps, samples: Array, model: Model, parameters: TunerParameters
+) -> tuple[Stamps, Array]:
+    """The same with a model, as a tuner with these parameters uses it; see `tuned`."""
+    order = parameters.difference_order
+    return at_windows(
+        stamps_ns,
+        samples,
+        lambda x, k: bounded(pooled(model.variances, k), order, model.window)(x),
+        (),
+        model.window,
+        parameters.rate,
+        round(parameters.max_gap * NS),
+        model.history,
+        model.schema.pooling,
+    )
 
 
 def at_windows(
     stamps_ns: Stamps,
     samples: Array,
-    compute: Callable[[Array], Array],
+    compute: Callable[[Array, int], Array],
     shape: tuple[int, ...],
     window: int,
     rate: float,
     max_gap_ns: int,
     history: int | None = None,
+    pooling: bool = False,
 ) -> tuple[Stamps, Array]:
     """Anything that is computed of the windows of a tuner; see `tuned` for the other arguments.
 
     Args:
-        compute: Maps windows (M, N) of one channel each to arrays (M, *shape).
+        compute: Maps windows (M, N) of one channel each, and the number of their samples in a mean,
+            to arrays (M, *shape).
         shape: Of the result of one window.
+        pooling: Whether `window` and `history` count means of samples, see pooling.py.
 
     Returns:
         Stamps (K,) of the windows, and the results (K, 6, *shape).
     """
     closing, filled = closing_samples(stamps_ns, window, rate, max_gap_ns)
+    pools = np.ones(closing.size, np.intp)
+    if pooling:
+        ends_ns = stamps_ns[closing]
+        spans = zip((stamps_ns[closing - (window - 1)]).tolist(), ends_ns.tolist(), strict=True)
+        pools = np.array([pool_of(rate_of(*span, window)) for span in spans], np.intp)
+        enough = filled >= window * pools
+        closing, filled, pools = closing[enough], filled[enough], pools[enough]
     results = np.empty((closing.size, CHANNELS, *shape))
-    lengths = np.minimum(filled, history or window)
-    for length in np.unique(lengths):
-        of_length = np.flatnonzero(lengths == length)
+    lengths = np.minimum(filled, (history or window) * pools)
+    for length, pool in np.unique(np.stack([lengths, pools], axis=1), axis=0).tolist():
+        alike = np.flatnonzero((lengths == length) & (pools == pool))
         windows = sliding_window_view(samples, length, axis=0)
-        for first in range(0, of_length.size, _AT_ONCE):
-            some = of_length[first : first + _AT_ONCE]
+        for first in range(0, alike.size, _AT_ONCE):
+            some = alike[first : first + _AT_ONCE]
             chosen = np.ascontiguousarray(windows[closing[some] - (length - 1)])
-            results[some] = compute(chosen.reshape(-1, length)).reshape(-1, CHANNELS, *shape)
+            found = compute(chosen.reshape(-1, length), pool)
+            results[some] = found.reshape(-1, CHANNELS, *shape)
     return stamps_ns[closing], results
 
 

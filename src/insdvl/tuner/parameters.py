@@ -67,7 +67,8 @@ class TunerParameters:
     difference_order: int = parameter(
         0,
         "Order of the differences whose variance (with a margin) is the upper bound of the "
-        "estimates; differences suppress fast motion of the vehicle. 0 means no bound.",
+        "estimates; differences suppress fast motion of the vehicle. Not for an IMU with a "
+        "low-pass, whose differences show less than its noise. 0 means no bound.",
         low=0,
         high=20,
     )

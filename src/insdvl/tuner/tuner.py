@@ -2,7 +2,8 @@
 
 The schedule follows from the stamps alone. Time is divided into periods of 1 / rate from stamp 0
 on; the first sample of a period closes a window, which has that sample and those before it: the
-N - 1 of the model's window, or as many as there are without a gap up to the model's history. A
+N - 1 of the model's window, or as many as there are without a gap up to the model's history; some
+models count means of samples, see pooling.py. A
 stamp at the start of a period belongs to the period, so estimates lie on multiples of 1 / rate
 where samples do; with jitter or other phases an estimate has the stamp of the first sample after.
 The time at which the tuner started, and the speed at which samples arrive, do not matter: two
@@ -21,10 +22,10 @@ from insdvl.navigation.events import NS
 from insdvl.parameters.declaration import ParameterError
 from insdvl.tuner.features.differences import bounded
 from insdvl.tuner.models import load_model
-from insdvl.tuner.offline import Estimator
 from insdvl.tuner.own import HISTORY, WINDOW, EstimatorError, OwnEstimator
 from insdvl.tuner.parameters import TunerParameters
-from insdvl.tuner.windows import CHANNELS, Window, period
+from insdvl.tuner.pooling import MOST, pool_of, pooled
+from insdvl.tuner.windows import CHANNELS, Estimator, Window, period
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class Tuner:
     Attributes:
         enabled: While False there are no estimates; the window is still filled.
         name: Of the model, or of the estimator that is in its place.
-        window: Least number of samples of an estimate.
+        window: Least number of samples of an estimate, or of means of samples.
         failure: Of the estimator in use, the last one; empty while there was none.
     """
 
@@ -59,31 +60,35 @@ class Tuner:
                 differences.
         """
         self.enabled = parameters.enabled
-        estimate, self.window, history = self._chosen(parameters)
+        self._estimate, self.window, self._history, self._pooling = self._chosen(parameters)
         if parameters.difference_order >= self.window:
             raise ParameterError(
                 f"parameter 'difference_order' must be less than the {self.window} samples "
                 f"of the window, got {parameters.difference_order}"
             )
-        self._estimate = bounded(estimate, parameters.difference_order, self.window)
+        self._difference_order = parameters.difference_order
         self._rate = Fraction(parameters.rate) / NS  # periods in a nanosecond, exactly
-        self._window = Window(history, round(parameters.max_gap * NS))
+        size = self._history * (MOST if self._pooling else 1)
+        self._window = Window(size, round(parameters.max_gap * NS))
         self._made = {"windows": 0, "too_large": 0, "failed": 0}
         self.failure = ""
 
-    def _chosen(self, parameters: TunerParameters) -> tuple[Estimator, int, int]:
-        """What estimates, and the least and the largest number of samples that it uses."""
+    def _chosen(self, parameters: TunerParameters) -> tuple[Estimator, int, int, bool]:
+        """What estimates, its least and its largest number of samples, and whether it pools."""
         if parameters.estimator:
             try:
                 own = OwnEstimator(parameters.estimator)
             except EstimatorError as error:
                 raise ParameterError(f"parameter 'estimator': {error}") from error
             self.name = own.name
-            return lambda windows: own(windows.T, self._window.rate), WINDOW, HISTORY
+            return self._own(own), WINDOW, HISTORY, False
         model = load_model(parameters.model)
         model.variances(np.zeros((CHANNELS, model.window)))
         self.name = model.card["name"]
-        return model.variances, model.window, model.history
+        return model.variances, model.window, model.history, model.schema.pooling
+
+    def _own(self, own: OwnEstimator) -> Estimator:
+        return lambda windows: own(windows.T, self._window.rate(windows.shape[1]))
 
     @property
     def counts(self) -> dict[str, int]:
@@ -107,8 +112,12 @@ class Tuner:
             return None
         if self._window.filled < self.window or not self.enabled:
             return None
+        k = pool_of(self._window.rate(self.window)) if self._pooling else 1
+        if self._window.filled < k * self.window:
+            return None
+        estimate = bounded(pooled(self._estimate, k), self._difference_order, self.window)
         try:
-            variances = self._estimate(self._window.samples())
+            variances = estimate(self._window.samples()[:, -k * self._history :])
         except EstimatorError as error:
             self._made["failed"] += 1
             self.failure = str(error)

@@ -1,6 +1,7 @@
 """The last samples of an IMU without a gap, and the periods of the tuner."""
 
 from collections import deque
+from collections.abc import Callable
 from fractions import Fraction
 from typing import TypeVar
 
@@ -11,6 +12,9 @@ from insdvl.arrays import Array
 from insdvl.navigation.events import NS
 
 CHANNELS = 6  # specific force x, y, z, angular rate x, y, z
+
+#: Windows (M, N) of one channel each to the variances per sample (M,) of their noise.
+Estimator = Callable[[Array], Array]
 
 _Stamp = TypeVar("_Stamp", int, NDArray[np.object_])
 
@@ -92,10 +96,9 @@ class Window:
         end = self._next + self._size
         return self._ring[:, end - self.filled : end]
 
-    @property
-    def rate(self) -> float:
-        """Rate of the samples [Hz], of which there are at least two."""
-        return rate_of(self._stamps[-self.filled], self._stamps[-1], self.filled)
+    def rate(self, samples: int) -> float:
+        """Rate [Hz] of the last 2 <= `samples` <= `filled`."""
+        return rate_of(self._stamps[-samples], self._stamps[-1], samples)
 
 
 def rate_of(first_ns: int, last_ns: int, samples: int) -> float:

@@ -53,6 +53,7 @@ def test_one_seed_is_one_mission_to_the_bit():
         ({"dvl": DvlModel(lever_arm=(1.0, 0.0, 0.0))}, {"v_d"}),
         ({"imu": ImuModel(accelerometer_bias_std=0.1)}, {"f_b", "bias"}),
         ({"imu": ImuModel(gyroscope_bias_walk=1e-6)}, {"w_ib_b", "bias"}),
+        ({"imu": ImuModel(bandwidth=10.0)}, {"f_b", "w_ib_b"}),
     ],
 )
 def test_a_setting_changes_its_own_error_only(changed, what_differs):

@@ -136,6 +136,20 @@ def test_a_simulator_without_noise_gives_parameters_that_a_filter_takes(tmp_path
     assert min(noise.gyroscope_variance) >= noise.gyroscope_floor
 
 
+def test_the_noise_of_an_imu_with_a_low_pass_is_that_below_it(tmp_path: Path) -> None:
+    """Differences have a hundredth of what a filter integrates."""
+    q = np.repeat([1e-3, 1e-8], 3)
+    mission = simulate(
+        AUV, constant(q), seed=3, duration=60.0, imu=ImuModel(bandwidth=8.0), start_ns=START_NS
+    )
+    path, written = save(tmp_path / "dive", raws_of(mission)), tmp_path / "my.yaml"
+    assert cli.main(["init", str(path), "-o", str(written)]) == 0
+    assert "below the low-pass of the IMU" in written.read_text()
+    noise = load_section(written, "insdvl_filter", FilterParameters).process_noise
+    found = np.array([*noise.accelerometer_variance, *noise.gyroscope_variance])
+    assert (found > q / 4.0).all() and (found < 4.0 * q).all()
+
+
 @pytest.mark.long
 def test_the_verdict_does_not_contradict_the_noise_that_it_wrote(tmp_path: Path) -> None:
     """Of a DVL with 3 mm/s from ping to ping, and as much that lasts for 20 s."""

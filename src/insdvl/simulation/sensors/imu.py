@@ -7,13 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import legendre
+from scipy.signal import butter, sosfilt, sosfilt_zi
 
 from insdvl.arrays import Array
-from insdvl.parameters.declaration import parameter
+from insdvl.parameters.declaration import ParameterError, parameter
 from insdvl.simulation.motion import Trajectory
 
 _NODES = 3  # the error is of the order dt^6 and lies below the rounding at 10 Hz and above
 _VIBRATING_NODES = 6  # for half a period in an interval
+_ORDER = 2  # of the low-pass
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,28 @@ class ImuModel:
     gyroscope_bias_walk: float = parameter(
         1e-13, "Density of the gyroscope bias walk.", unit="(rad/s)^2/s", low=0.0
     )
+    bandwidth: float = parameter(
+        0.0,
+        "Corner of a Butterworth low-pass of second order in the IMU, which noise and motion pass "
+        "alike, with its delay; below half of imu.rate. 0 means none.",
+        unit="Hz",
+        low=0.0,
+    )
+
+    def __post_init__(self) -> None:
+        if self.bandwidth >= self.rate / 2.0:
+            raise ParameterError(
+                "parameter 'imu.bandwidth' must be below half of imu.rate, "
+                f"{self.rate / 2.0:g} Hz, got {self.bandwidth!r}"
+            )
+
+    def filtered(self, readings: Array) -> Array:
+        """Readings (N, 6) behind the low-pass, which is in its steady state at the first."""
+        if self.bandwidth == 0.0:
+            return readings
+        sections = butter(_ORDER, self.bandwidth, fs=self.rate, output="sos")
+        before = sosfilt_zi(sections)[:, :, None] * readings[0]
+        return np.asarray(sosfilt(sections, readings, axis=0, zi=before)[0])
 
 
 def ideal_imu(

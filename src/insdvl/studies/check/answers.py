@@ -271,6 +271,12 @@ def _samples(seen: Inspection) -> Iterator[Finding]:
         yield Finding(
             SAMPLES, f"Noise of a sample, one sigma: {f:.2g} m/s^2 and {w:.2g} rad/s at most."
         )
+        if imu.low_passed:
+            yield Finding(
+                SAMPLES,
+                "They are low-passed in the IMU: their noise falls towards half the rate. What is "
+                "told here is the noise below that. The tuner's difference_order must be 0.",
+            )
         settings = _noise(seen)
         if settings:
             yield _setting(

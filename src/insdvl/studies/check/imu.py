@@ -1,4 +1,8 @@
-"""What the samples of an IMU show: gravity, noise, rest, and readings that are none."""
+"""What the samples of an IMU show: gravity, noise, rest, and readings that are none.
+
+The noise is that of differences, which motion does not disturb. Behind a low-pass in the IMU
+differences show less than the noise that a filter integrates; there the model `bands` finds it.
+"""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -15,10 +19,15 @@ from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.start.gyrocompass import Noise
 from insdvl.navigation.start.rest import LEAST_SAMPLES, Misfit, misfit_to_rest, window_of
 from insdvl.tuner.features.differences import difference_variances
+from insdvl.tuner.models import load_model
+from insdvl.tuner.pooling import pool_of, pooled
 
 CHUNK = 1000  # samples that are looked at together
 WINDOW = 100  # samples of one estimate of the noise
 ORDER = 3  # of the differences: the motion of a vehicle within four samples is a parabola
+#: An IMU is low-passed where differences of the higher order have so much less than those of
+#: `ORDER` in all channels. White noise has 1, and behind a low-pass at 0.3 of the rate 0.4.
+HIGHER, FALLS = 6, 0.5
 #: A channel that repeats its largest reading so often in a row stands at the end of its range,
 #: where that is so far from its mean [m/s^2, rad/s]: no resolution explains it.
 STANDS, AWAY = 3, (5.0, 0.5)
@@ -34,7 +43,8 @@ class ImuFacts:
         refused: Number of messages that could not, by reason.
         mean: (6,) mean [m/s^2, rad/s].
         largest: (6,) largest size of a reading.
-        variance: (6,) of the noise of a sample, by differences; zeros with too few samples.
+        variance: (6,) of the noise of a sample; zeros with too few samples.
+        low_passed: Whether the noise falls towards half the rate, and `variance` is that below.
         stands: Channels at the end of their range, with that reading.
         saturated: Number of samples at the declared range.
         frozen: Number of samples with a frozen channel.
@@ -48,6 +58,7 @@ class ImuFacts:
     mean: Array
     largest: Array
     variance: Array
+    low_passed: bool
     stands: dict[str, float]
     saturated: int
     frozen: int
@@ -83,6 +94,9 @@ class ImuLog:
         self._low, self._high = np.full(6, np.inf), np.full(6, -np.inf)
         self._runs: list[dict[float, int]] = [{} for _ in range(6)]
         self._variances: list[Array] = []
+        self._higher: list[Array] = []
+        self._chunks: list[Array] = []
+        self._bands = load_model("bands")
         self._first: list[Array] = []
         self.refused: Counter[str] = Counter()
 
@@ -111,6 +125,10 @@ class ImuLog:
         windows = readings[: len(readings) // WINDOW * WINDOW].reshape(-1, WINDOW, 6)
         for window in windows:
             self._variances.append(difference_variances(window.T, ORDER))
+            self._higher.append(difference_variances(window.T, HIGHER))
+        k = pool_of(self._parameters.imu.rate)
+        if len(readings) >= k * self._bands.window:
+            self._chunks.append(pooled(self._bands.variances, k)(readings.T))
         for i in range(6):
             self._remember_extremes(i, readings[:, i])
 
@@ -129,7 +147,7 @@ class ImuLog:
         """What all samples have shown."""
         self._look()
         counters = self._state[0]["counters"]
-        variance = np.median(self._variances, axis=0) if self._variances else np.zeros(6)
+        variance, low_passed = self._noise()
         mean = self._sum / max(self._used, 1)
         stands = {
             NAMES[i]: self._axes[i] * value
@@ -143,6 +161,7 @@ class ImuLog:
             mean=self._axes * mean,
             largest=np.maximum(np.abs(self._low), np.abs(self._high)) if self._first else mean,
             variance=variance,
+            low_passed=low_passed,
             stands=stands,
             saturated=int(counters["saturated"]),
             frozen=int(counters["frozen"]),
@@ -150,6 +169,16 @@ class ImuLog:
             no_data=int(counters["no_data"]),
             start=self._start(variance),
         )
+
+    def _noise(self) -> tuple[Array, bool]:
+        """Variances (6,) of a sample's noise, and whether the IMU is low-passed."""
+        if not self._variances:
+            return np.zeros(6), False
+        variance = np.median(self._variances, axis=0)
+        falls = bool((np.median(self._higher, axis=0) < FALLS * variance).all())
+        if falls and self._chunks:
+            variance = np.median(self._chunks, axis=0)
+        return variance, falls
 
     def _start(self, variance: Array) -> Misfit | None:
         """How far the first samples are from those of a vehicle at rest, as the filter judges."""

@@ -22,8 +22,8 @@ from insdvl.tuner.features.band_forms import least_band, median_of_spectrum, sin
 from insdvl.tuner.features.bands import NEAR
 from insdvl.tuner.features.closed_form import degree_5
 from insdvl.tuner.models import Model, ModelError, load_model
-from insdvl.tuner.offline import Estimator
 from insdvl.tuner.own import OwnEstimator
+from insdvl.tuner.windows import Estimator
 
 #: Parameters of the filter by preset: `calibrated` is this project's filter; `paper` is the
 #: published one, which uses variances as densities and bias walks of density 0.001;

@@ -44,8 +44,9 @@ from insdvl.studies.evaluation.taught import lessons_of, taught_model
 from insdvl.timeline.output import FoldResult
 from insdvl.timeline.recorded import fold_arrays
 from insdvl.tuner.measurement_noise import DvlTuner
-from insdvl.tuner.offline import Estimator, tuned, tuned_by_own
+from insdvl.tuner.offline import tuned, tuned_by_own
 from insdvl.tuner.parameters import TunerParameters
+from insdvl.tuner.windows import Estimator
 
 _TEACHING = 2004  # key of the random streams
 

@@ -27,9 +27,8 @@ from insdvl.studies.results.recordings import Recording, Settings, stream_axes
 from insdvl.timeline.output import FoldResult
 from insdvl.timeline.recorded import fold_arrays
 from insdvl.tuner.features.closed_form import degree_5
-from insdvl.tuner.features.differences import bounded
 from insdvl.tuner.models import Model
-from insdvl.tuner.offline import Estimator, tuned
+from insdvl.tuner.offline import tuned, tuned_by_model
 
 Limits = tuple[tuple[float, float], tuple[float, float]]
 #: Stamps (K,) from which on variances (K, 6) apply.
@@ -127,27 +126,14 @@ class Shared:
 def learned(shared: Shared, recording: Recording, samples: Array) -> dict[str, Received]:
     """Output of a tuner with each model, and with the closed form without a bound."""
     tuner = shared.settings.tuner
-    estimators: dict[str, tuple[Estimator, int, int]] = {
-        row: (
-            bounded(model.variances, tuner.difference_order, model.window),
-            model.window,
-            model.history,
-        )
+    rows = {
+        row: tuned_by_model(recording.stamps_ns, samples, model, tuner)
         for row, model in shared.models.items()
     }
-    estimators[CLOSED_FORM] = degree_5, WINDOW, WINDOW
-    return {
-        row: tuned(
-            recording.stamps_ns,
-            samples,
-            estimate,
-            window,
-            tuner.rate,
-            round(tuner.max_gap * NS),
-            history,
-        )
-        for row, (estimate, window, history) in estimators.items()
-    }
+    rows[CLOSED_FORM] = tuned(
+        recording.stamps_ns, samples, degree_5, WINDOW, tuner.rate, round(tuner.max_gap * NS)
+    )
+    return rows
 
 
 @dataclass(frozen=True)

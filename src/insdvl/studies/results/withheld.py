@@ -18,7 +18,6 @@ from insdvl.arrays import Array
 from insdvl.jobs.pool import Pool
 from insdvl.jobs.store import Store
 from insdvl.jobs.tasks import Result
-from insdvl.navigation.events import NS
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.studies.judgement.withheld import WINDOWS, predictions
@@ -30,10 +29,9 @@ from insdvl.studies.results.vehicle_runs import HAND_SET, Received, filtered, pr
 from insdvl.studies.teaching.lesson import lesson_of
 from insdvl.studies.teaching.teach import BANDS, CONSTANT, TeachingError, constant_of, teach
 from insdvl.tuner.features.bands import WINDOW
-from insdvl.tuner.features.differences import bounded
 from insdvl.tuner.features.schemas import SCHEMAS
 from insdvl.tuner.models import Model
-from insdvl.tuner.offline import tuned
+from insdvl.tuner.offline import tuned_by_model
 from insdvl.tuner.weights import Weights
 
 TAUGHT, TAUGHT_CONSTANT = "taught", "taught constant"
@@ -170,15 +168,7 @@ def scored_rows(shared: Shared, name: str) -> Result:
     }
     rows = {HAND_SET: _numbers(settings, recording, hand_set, None, used)}
     for row, model in shared.models[name].items():
-        received = tuned(
-            recording.stamps_ns,
-            recording.samples,
-            bounded(model.variances, settings.tuner.difference_order, model.window),
-            model.window,
-            settings.tuner.rate,
-            round(settings.tuner.max_gap * NS),
-            model.history,
-        )
+        received = tuned_by_model(recording.stamps_ns, recording.samples, model, settings.tuner)
         external = settings.external(gate=True)
         rows[row] = _numbers(settings, recording, external, received, used)
         if row in (TAUGHT, TAUGHT_CONSTANT):

@@ -29,6 +29,7 @@ from insdvl.tuner.features.band_groups import GROUP_FEATURE_NAMES, group_feature
 from insdvl.tuner.features.bands import HISTORY, WINDOW
 from insdvl.tuner.offline import at_windows
 from insdvl.tuner.parameters import TunerParameters
+from insdvl.tuner.pooling import means
 
 #: The filter navigates for this time [s] before a lesson begins.
 SETTLE = 20.0
@@ -121,6 +122,7 @@ def lesson_of(
         tuner.rate,
         round(tuner.max_gap * NS),
         HISTORY,
+        pooling=True,
     )
     begin_ns = used[0].stamp_ns + round(SETTLE * NS)
     if len(window_ns):
@@ -144,9 +146,10 @@ def lesson_of(
     return Lesson(name, samples, stretch, scored, X[..., :-1], X[..., -1], nominal)
 
 
-def _features(windows: Array) -> Array:
-    X, scale = group_features(windows)
-    return np.hstack([X, scale[:, None]])
+def _features(windows: Array, k: int) -> Array:
+    """Features of means of k samples, and the scale of single ones."""
+    X, scale = group_features(means(windows, k))
+    return np.hstack([X, k * scale[:, None]])
 
 
 def _longest(stamps_ns: Stamps) -> tuple[int, int]:

@@ -33,7 +33,7 @@ with extra("train"):
     from sklearn.ensemble import GradientBoostingRegressor
 
 SCHEMA = "bands"
-VEHICLES, QUICK_VEHICLES = 50, 10  # of each kind
+VEHICLES, QUICK_VEHICLES = 100, 10  # of each kind
 DURATION = 200.0  # s
 
 #: The candidates.
@@ -109,7 +109,7 @@ def train(
         "kind": "forest",
         "feature_schema": preset,
         "features": list(BAND_FEATURE_NAMES),
-        "target": "logarithm of the effective variance per sample over the least band of `near`",
+        "target": "log of the effective variance per sample over the least unfiltered band",
         "window": window,
         "data_set": {
             "kinds": list(KINDS),

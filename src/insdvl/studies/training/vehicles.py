@@ -2,8 +2,9 @@
 
 Every vehicle is a mission of its own, drawn from a random stream of its own: noise, vibration,
 waves and DVL as in the scenarios of docs/explanation/effective-noise.md, in equal numbers; one of
-the trajectories of the training; a DVL of 0.02 to 0.1 m/s at 1 or 5 Hz. The trajectory of the
-evaluation, and its random streams, are not among them. An example is one channel at one time.
+the trajectories of the training; a DVL of 0.02 to 0.1 m/s at 1 or 5 Hz. One of three IMUs has a
+low-pass. The trajectory of the evaluation, and its random streams, are not among them. An example
+is one channel at one time.
 
 Vehicles, not examples, are divided into those of training, validation and test.
 """
@@ -22,6 +23,7 @@ from insdvl.simulation.drawn.scenarios import DRAWN, Scenario
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import SCENARIOS, ProfileFactory
 from insdvl.simulation.sensors.dvl import DvlModel
+from insdvl.simulation.sensors.imu import ImuModel
 from insdvl.simulation.trajectories import BASELINE
 from insdvl.tuner.features.schemas import SCHEMAS
 from insdvl.tuner.windows import CHANNELS
@@ -35,6 +37,8 @@ KINDS: dict[str, Scenario | ProfileFactory] = {
 }
 DVL_STD = (0.02, 0.1)  # m/s, drawn log-uniformly
 DVL_RATES = (1.0, 5.0)  # Hz
+LOW_PASSED = 1.0 / 3.0  # share of the IMUs
+BANDWIDTH = (4.0, 40.0)  # Hz, drawn log-uniformly
 EVERY = 300  # samples from an example of a channel to the next
 
 #: Parts of the data set, and how many vehicles of ten of a kind each has.
@@ -92,7 +96,9 @@ def mission_of(recipe: Recipe, kind: str, vehicle: int) -> Mission:
     trajectory = list(BASELINE.values())[rng.integers(len(BASELINE))]
     std = float(np.exp(rng.uniform(*np.log(DVL_STD))))
     dvl = DvlModel(noise_std=(std,) * 3, rate=float(rng.choice(DVL_RATES)))
-    return simulate(trajectory, KINDS[kind], seed=flown, duration=recipe.duration, dvl=dvl)
+    low_passed, corner = rng.random() < LOW_PASSED, float(np.exp(rng.uniform(*np.log(BANDWIDTH))))
+    imu = ImuModel(bandwidth=corner if low_passed else 0.0)
+    return simulate(trajectory, KINDS[kind], seed=flown, duration=recipe.duration, imu=imu, dvl=dvl)
 
 
 def build(recipe: Recipe, pool: Pool, store: Store | None = None) -> Vehicles:

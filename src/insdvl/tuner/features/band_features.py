@@ -1,8 +1,9 @@
 """Features of the schema `bands`: what the band powers of an IMU say of the noise of each channel.
 
 All are logarithms of ratios of powers, so they do not depend on the unit. The scale is the least
-band of ``near``: the target is the logarithm of how far the density that the filter needs is above
-it. Two more numbers tell how much of the history there is, and which triad the channel is of.
+of the bands of ``near`` that no IMU filters: the target is the logarithm of how far the density
+that the filter needs is above it. Two more numbers tell how much of the history there is, and which
+triad the channel is of.
 
 What one channel cannot tell, the others of the IMU may: whether its slow bands are motion or
 noise, and at what level the noise of such sensors is. So the features of a channel have the mean
@@ -14,7 +15,15 @@ import numpy as np
 
 from insdvl.arrays import Array
 from insdvl.kernels import kernel
-from insdvl.tuner.features.bands import FAST, HISTORY, SLOW, SMALLEST_RATIO, WINDOW, band_powers
+from insdvl.tuner.features.bands import (
+    FAST,
+    HISTORY,
+    SLOW,
+    SMALLEST_RATIO,
+    UNFILTERED,
+    WINDOW,
+    band_powers,
+)
 from insdvl.tuner.windows import CHANNELS
 
 _QUANTILES = (0.1, 0.25, 0.5)  # of the frequencies of ``near``
@@ -63,6 +72,7 @@ def band_features(windows: Array) -> tuple[Array, Array]:
     _band_features(
         np.hstack([bands.near, bands.slow, bands.now, bands.variance, quantiles]),
         np.array(_ORDERS),
+        UNFILTERED,
         FAST,
         FAST + SLOW,
         X,
@@ -74,7 +84,7 @@ def band_features(windows: Array) -> tuple[Array, Array]:
 
 
 def band_bounds(X: Array) -> tuple[Array, Array]:
-    """Lowest and highest output (M,) for features (M, F): the least band, the greatest band.
+    """Lowest and highest output (M,) for features (M, F): the scale, the greatest band.
 
     The bands are the closed forms that learning combines. Outside of its training a model is so
     never worse than the worst of them.
@@ -84,15 +94,22 @@ def band_bounds(X: Array) -> tuple[Array, Array]:
 
 @kernel
 def _band_features(
-    powers: Array, orders: Array, fast: int, bands: int, X: Array, scale: Array
+    powers: Array,
+    orders: Array,
+    unfiltered: int,
+    fast: int,
+    bands: int,
+    X: Array,
+    scale: Array,
 ) -> None:
     """The ratios of ``powers`` (M, P), their order and slopes into ``X``; ``scale`` (M,).
 
-    The first ``fast`` powers are those of ``near``, the first ``bands`` with those of ``slow``.
+    The first ``fast`` powers are those of ``near``, of which the first ``unfiltered`` make the
+    scale; the first ``bands`` are those with ``slow``.
     """
     M, P = powers.shape
     for m in range(M):
-        scale[m] = powers[m, :fast].min()
+        scale[m] = powers[m, :unfiltered].min()
         if scale[m] <= 0.0:
             scale[m] = 0.0
             continue

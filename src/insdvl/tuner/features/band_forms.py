@@ -4,7 +4,7 @@ Each maps windows (M, N) of one channel, 200 <= N <= 600, to variances per sampl
 noise, and is unbiased for white noise. They differ in what they take for motion:
 
 * `single_band`: all but 3.25 to 5.75 Hz (at 100 Hz), between steering and vibration;
-* `least_band`: all but the band with the least power;
+* `least_band`: all but the band with the least power, of those that no IMU filters;
 * `median_of_spectrum`: less than half of the frequencies.
 
 The factors follow from the distribution of the powers of white noise; nothing is fitted.
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaincc, gammaincinv
 
 from insdvl.arrays import Array
-from insdvl.tuner.features.bands import NEAR, WINDOW, band_powers, transform
+from insdvl.tuner.features.bands import NEAR, UNFILTERED, WINDOW, band_powers, transform
 
 #: Number of the band of `single_band`.
 SINGLE = 2
@@ -42,8 +42,9 @@ def single_band(windows: Array) -> Array:
 
 
 def least_band(windows: Array) -> Array:
-    """Least power of the seven bands, divided by its mean for white noise of variance 1."""
-    return band_powers(windows).near.min(axis=1) / mean_of_least(_used(windows))
+    """Least power of the unfiltered bands, divided by its mean for white noise of variance 1."""
+    least = band_powers(windows).near[:, :UNFILTERED].min(axis=1)
+    return least / mean_of_least(_used(windows))
 
 
 def median_of_spectrum(windows: Array) -> Array:
@@ -86,7 +87,8 @@ def degrees(n: int) -> Degrees:
 def mean_of_least(n: int) -> float:
     """Mean of the least of independent chi-square variables, each divided by its degrees."""
     x = (np.arange(4000) + 0.5) / 1000.0
-    above = gammaincc(degrees(n).bands[:, None] / 2.0, degrees(n).bands[:, None] / 2.0 * x)
+    halves = degrees(n).bands[:UNFILTERED, None] / 2.0
+    above = gammaincc(halves, halves * x)
     return float(np.sum(np.prod(above, axis=0)) / 1000.0)
 
 

@@ -42,6 +42,10 @@ FAST_EDGES = (0.01, 0.0175, 0.0325, 0.0575, 0.1025, 0.1775, 0.2975, 0.5)
 SLOW_EDGES = (0.001, 0.002, 0.004, 0.008, 0.016)
 #: Numbers of bands.
 FAST, SLOW = len(FAST_EDGES) - 1, len(SLOW_EDGES) - 1
+#: Number of the lowest bands of ``now`` and ``near`` that no IMU filters: up to a tenth of the
+#: sample rate. Many IMUs have a low-pass below half of it. Above its corner they show less than
+#: their noise at the frequencies that count.
+UNFILTERED = 4
 #: Of powers, so that the logarithm of an empty band is finite.
 SMALLEST_RATIO = 1e-12
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from insdvl.arrays import Array
 from insdvl.tuner.features.detrend import checked
-from insdvl.tuner.offline import Estimator
+from insdvl.tuner.windows import Estimator
 
 #: Margin of the bound above the variance of differences, in relative errors of white noise.
 SIGMAS = 3.0

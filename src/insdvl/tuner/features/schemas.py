@@ -46,6 +46,7 @@ class Schema:
         relative: Whether the output is log(q / scale); otherwise it is q.
         min_samples: Smallest number of samples of a window.
         history: Largest number of samples that an estimate uses, where it is not the window.
+        pooling: Whether fast IMUs are seen by means of their samples, see pooling.py.
         bounds: Maps features (M, F) to the lowest and the highest output (M,); None for none.
     """
 
@@ -54,6 +55,7 @@ class Schema:
     relative: bool
     min_samples: int
     history: int | None = None
+    pooling: bool = False
     bounds: Callable[[Array], tuple[Array, Array]] | None = None
 
     def width(self, window: int) -> int:
@@ -115,6 +117,7 @@ SCHEMAS: Mapping[str, Schema] = MappingProxyType(
             relative=True,
             min_samples=BANDS_WINDOW,
             history=HISTORY,
+            pooling=True,
             bounds=band_bounds,
         ),
         "default": Schema(
@@ -131,6 +134,7 @@ SCHEMAS: Mapping[str, Schema] = MappingProxyType(
             relative=True,
             min_samples=BANDS_WINDOW,
             history=HISTORY,
+            pooling=True,
         ),
         "window": Schema((), _window, relative=False, min_samples=1),
     }
