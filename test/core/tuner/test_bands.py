@@ -132,12 +132,20 @@ def test_a_constant_window_has_no_noise(value):
     assert np.isfinite(X).all() and scale[0] == 0.0
 
 
-def test_bounds_are_the_least_unfiltered_and_the_greatest_band():
+def test_the_scale_is_the_least_unfiltered_band():
+    x = white(6, 2000)
+    np.testing.assert_array_equal(
+        band_features(x)[1], band_powers(x).near[:, :UNFILTERED].min(axis=1)
+    )
+
+
+def test_bounds_are_the_least_and_the_greatest_band():
     x = white(6, 2000)
     X, scale = band_features(x)
     bands = band_powers(x)
     low, high = band_bounds(X)
-    np.testing.assert_allclose(scale * np.exp(low), bands.near[:, :UNFILTERED].min(axis=1))
+    least = np.hstack([bands.near, bands.slow, bands.now]).min(axis=1)
+    np.testing.assert_allclose(scale * np.exp(low), least)
     greatest = np.hstack([bands.near, bands.slow]).max(axis=1)
     np.testing.assert_allclose(scale * np.exp(high), greatest)
 

@@ -115,7 +115,7 @@ def teach(lessons: Sequence[Lesson], say: Callable[[str], None] = lambda _: None
         "kind": "weights",
         "feature_schema": "taught",
         "features": list(GROUP_FEATURE_NAMES),
-        "target": "log of the effective variance per sample over the least unfiltered band",
+        "target": "logarithm of the effective variance per sample over the least band of `near`",
         "window": WINDOW,
         "teacher": {
             "recordings": {lesson.name: lesson.count for lesson in lessons},

@@ -19,22 +19,24 @@ from insdvl.jobs.pool import Pool
 from insdvl.jobs.store import Store
 from insdvl.jobs.tasks import Result
 from insdvl.studies.training import vehicles
-from insdvl.studies.training.ensemble import fit, forest_of, to_forest
+from insdvl.studies.training.ensemble import Nodes, fit, forest_of, to_forest
 from insdvl.studies.training.vehicles import KINDS, PARTS, Recipe
 from insdvl.tuner.features.band_features import BAND_FEATURE_NAMES
 from insdvl.tuner.features.band_forms import SINGLE, mean_of_least, median_of_white
 from insdvl.tuner.features.bands import NEAR, WINDOW
 from insdvl.tuner.features.schemas import SCHEMAS
-from insdvl.tuner.forest import Forest
+from insdvl.tuner.forest import LEAF, Forest
 
 with extra("train"):
     import joblib
     import sklearn
-    from sklearn.ensemble import GradientBoostingRegressor
+    from sklearn.ensemble import HistGradientBoostingRegressor
+    from threadpoolctl import threadpool_limits
 
 SCHEMA = "bands"
 VEHICLES, QUICK_VEHICLES = 100, 10  # of each kind
 DURATION = 200.0  # s
+LOW_PASSED = 1.0 / 3.0  # share of the IMUs with a low-pass
 
 #: The candidates.
 BAGGED, BOOSTED = "bagged trees", "boosted trees"
@@ -42,11 +44,10 @@ _LEAF = 8  # examples of a bagged tree, as published
 #: Examples drawn for a tree. Those of a channel overlap by 17 of 20 s: a fifth says nearly as much.
 _SHARE = 0.2
 _BOOSTING: dict[str, Any] = {
-    "n_estimators": 200,
-    "learning_rate": 0.05,
-    "max_depth": 5,
+    "max_iter": 400,
+    "learning_rate": 0.03,
+    "max_leaf_nodes": 31,
     "min_samples_leaf": 100,
-    "subsample": _SHARE,
     "max_features": 0.4,
 }
 
@@ -74,7 +75,8 @@ def train(
     Returns:
         The file of the model, and its card without name and hash.
     """
-    recipe = Recipe(preset, seed, QUICK_VEHICLES if quick else VEHICLES, DURATION)
+    number = QUICK_VEHICLES if quick else VEHICLES
+    recipe = Recipe(preset, seed, number, DURATION, LOW_PASSED)
     data = vehicles.build(recipe, pool, store)
     say(f"data set: {data.q.size} examples of {recipe.vehicles * len(KINDS)} vehicles")
     usable = data.scale > 0.0
@@ -116,6 +118,7 @@ def train(
             "vehicles_per_kind": recipe.vehicles,
             "parts_of_ten": PARTS,
             "duration_s": recipe.duration,
+            "low_passed": _rounded(recipe.low_passed),
             "rate_hz": 100,
             "examples": data.q.size,
             "seed": seed,
@@ -139,16 +142,24 @@ def train(
     return forests[best].save(), card
 
 
-def of_boosted(ensemble: GradientBoostingRegressor, start: float) -> Forest:
-    """Boosted trees, fitted to what is left of the targets after a start, as a mean of trees.
+def of_boosted(ensemble: HistGradientBoostingRegressor) -> Forest:
+    """Boosted trees as a mean of trees.
 
-    Their output is the start plus the sum of T trees times the learning rate. It is the mean of
-    trees with the values start + T rate value.
+    Their output is a start plus the sum of T trees. It is the mean of trees with the values
+    start + T value.
     """
-    trees, everything = ensemble.estimators_[:, 0], np.arange(ensemble.n_features_in_)
-    arrays = forest_of(trees, [everything] * len(trees), everything.size).arrays
-    factor = len(trees) * ensemble.learning_rate
-    return Forest({**arrays, "value": start + factor * arrays["value"]})
+    start, trees = float(ensemble._baseline_prediction.item()), ensemble._predictors
+    nodes = [
+        Nodes(
+            left=np.where(tree["is_leaf"], LEAF, tree["left"].astype(np.intp)),
+            right=tree["right"].astype(np.intp),
+            feature=tree["feature_idx"],
+            threshold=tree["num_threshold"],
+            value=start + len(trees) * tree["value"],
+        )
+        for tree in (predictor.nodes for (predictor,) in trees)
+    ]
+    return forest_of(nodes, ensemble.n_features_in_)
 
 
 def _fit(shared: tuple[Array, Array, int], candidate: str) -> Result:
@@ -156,9 +167,11 @@ def _fit(shared: tuple[Array, Array, int], candidate: str) -> Result:
     X, y, seed = shared
     if candidate == BAGGED:
         return dict(to_forest(fit(X, y, _LEAF, seed, share=_SHARE)).arrays)
-    start = float(np.mean(y))
-    ensemble = GradientBoostingRegressor(init="zero", random_state=seed, **_BOOSTING)
-    return dict(of_boosted(ensemble.fit(X, y - start), start).arrays)
+    ensemble = HistGradientBoostingRegressor(early_stopping=False, random_state=seed, **_BOOSTING)
+    with threadpool_limits(1):  # sums of several threads differ in the last bits
+        # A forest compares in single precision.
+        ensemble.fit(X.astype(np.float32), y)
+    return dict(of_boosted(ensemble).arrays)
 
 
 def _closed_forms(X: Array) -> dict[str, Array]:

@@ -4,7 +4,7 @@
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -87,36 +87,54 @@ def to_forest(
     trees = ensemble.estimators_
     everything = np.arange(ensemble.n_features_in_)
     subsets = getattr(ensemble, "estimators_features_", [everything] * len(trees))
-    return forest_of(trees, subsets, ensemble.n_features_in_)
-
-
-def forest_of(trees: Sequence[Any], subsets: Sequence[Any], n_features: int) -> Forest:
-    """The mean of fitted regression trees.
-
-    Args:
-        trees: DecisionTreeRegressors with one output.
-        subsets: The columns of a row that each tree sees.
-        n_features: Length of a row.
-
-    Raises:
-        ForestError: One is no such tree.
-    """
-    features, thresholds, values, roots = [], [], [], []
-    n_nodes = 0
+    nodes = []
     for estimator, columns in zip(trees, subsets, strict=True):
         if not isinstance(estimator, DecisionTreeRegressor):
             raise ForestError(f"the ensemble must consist of regression trees, got {estimator!r}")
         tree = estimator.tree_
         if tree.n_outputs != 1:
             raise ForestError(f"the trees must have one output, got {tree.n_outputs}")
-        order = _preorder(tree.children_left, tree.children_right)
-        leaf = tree.children_left[order] == LEAF
-        feature = np.full(order.size, LEAF)
-        # Each tree may have its own order of the columns.
-        feature[~leaf] = np.asarray(columns)[tree.feature[order][~leaf]]
-        features.append(feature)
+        nodes.append(
+            Nodes(
+                left=tree.children_left,
+                right=tree.children_right,
+                # Each tree may have its own order of the columns. A leaf has none.
+                feature=np.asarray(columns)[np.maximum(tree.feature, 0)],
+                threshold=tree.threshold,
+                value=tree.value[:, 0, 0],
+            )
+        )
+    return forest_of(nodes, ensemble.n_features_in_)
+
+
+class Nodes(NamedTuple):
+    """A tree of n nodes: each has its values at the same place of all arrays (n,).
+
+    Attributes:
+        left: Node where the feature is at most the threshold; `LEAF` for a leaf.
+        right: The other node.
+        feature: Column of a row.
+        threshold: Of the feature.
+        value: Output of a leaf.
+    """
+
+    left: Indices
+    right: Indices
+    feature: Indices
+    threshold: Array
+    value: Array
+
+
+def forest_of(trees: Sequence[Nodes], n_features: int) -> Forest:
+    """The mean of trees, for rows of this length."""
+    features, thresholds, values, roots = [], [], [], []
+    n_nodes = 0
+    for tree in trees:
+        order = _preorder(tree.left, tree.right)
+        leaf = tree.left[order] == LEAF
+        features.append(np.where(leaf, LEAF, tree.feature[order]))
         thresholds.append(_rounded_down(tree.threshold[order][~leaf]))
-        values.append(tree.value[order, 0, 0][leaf])
+        values.append(tree.value[order][leaf])
         roots.append(n_nodes)
         n_nodes += order.size
     return Forest(

@@ -2,8 +2,8 @@
 
 Every vehicle is a mission of its own, drawn from a random stream of its own: noise, vibration,
 waves and DVL as in the scenarios of docs/explanation/effective-noise.md, in equal numbers; one of
-the trajectories of the training; a DVL of 0.02 to 0.1 m/s at 1 or 5 Hz. One of three IMUs has a
-low-pass. The trajectory of the evaluation, and its random streams, are not among them. An example
+the trajectories of the training; a DVL of 0.02 to 0.1 m/s at 1 or 5 Hz. Some of the IMUs have
+a low-pass. The trajectory of the evaluation, and its random streams, are not among them. An example
 is one channel at one time.
 
 Vehicles, not examples, are divided into those of training, validation and test.
@@ -37,8 +37,7 @@ KINDS: dict[str, Scenario | ProfileFactory] = {
 }
 DVL_STD = (0.02, 0.1)  # m/s, drawn log-uniformly
 DVL_RATES = (1.0, 5.0)  # Hz
-LOW_PASSED = 1.0 / 3.0  # share of the IMUs
-BANDWIDTH = (4.0, 40.0)  # Hz, drawn log-uniformly
+BANDWIDTH = (4.0, 40.0)  # Hz, of an IMU with a low-pass, drawn log-uniformly
 EVERY = 300  # samples from an example of a channel to the next
 
 #: Parts of the data set, and how many vehicles of ten of a kind each has.
@@ -56,12 +55,14 @@ class Recipe:
         seed: Random seed, not negative.
         vehicles: Number of each kind, a multiple of ten.
         duration: Length of a mission [s].
+        low_passed: Share of the IMUs that have a low-pass.
     """
 
     schema: str
     seed: int
     vehicles: int
     duration: float
+    low_passed: float = 0.0
 
 
 class Vehicles(NamedTuple):
@@ -96,7 +97,8 @@ def mission_of(recipe: Recipe, kind: str, vehicle: int) -> Mission:
     trajectory = list(BASELINE.values())[rng.integers(len(BASELINE))]
     std = float(np.exp(rng.uniform(*np.log(DVL_STD))))
     dvl = DvlModel(noise_std=(std,) * 3, rate=float(rng.choice(DVL_RATES)))
-    low_passed, corner = rng.random() < LOW_PASSED, float(np.exp(rng.uniform(*np.log(BANDWIDTH))))
+    low_passed = rng.random() < recipe.low_passed
+    corner = float(np.exp(rng.uniform(*np.log(BANDWIDTH))))
     imu = ImuModel(bandwidth=corner if low_passed else 0.0)
     return simulate(trajectory, KINDS[kind], seed=flown, duration=recipe.duration, imu=imu, dvl=dvl)
 

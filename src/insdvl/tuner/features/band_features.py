@@ -49,6 +49,8 @@ BAND_FEATURE_NAMES = (
     "history",
 )
 _GREATEST = BAND_FEATURE_NAMES.index(f"band_order_{_ORDERS[-1]}")
+_LEAST = BAND_FEATURE_NAMES.index(f"band_order_{_ORDERS[0]}")
+_NOW = slice(BAND_FEATURE_NAMES.index("now_0"), BAND_FEATURE_NAMES.index(f"now_{FAST - 1}") + 1)
 
 
 def band_features(windows: Array) -> tuple[Array, Array]:
@@ -84,12 +86,13 @@ def band_features(windows: Array) -> tuple[Array, Array]:
 
 
 def band_bounds(X: Array) -> tuple[Array, Array]:
-    """Lowest and highest output (M,) for features (M, F): the scale, the greatest band.
+    """Lowest and highest output (M,) for features (M, F): the least and the greatest band.
 
     The bands are the closed forms that learning combines. Outside of its training a model is so
     never worse than the worst of them.
     """
-    return np.zeros(len(X)), np.maximum(X[:, _GREATEST], 0.0)
+    least = np.minimum(X[:, _LEAST], X[:, _NOW].min(axis=1))
+    return least, np.maximum(X[:, _GREATEST], 0.0)
 
 
 @kernel

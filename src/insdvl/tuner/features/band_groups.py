@@ -1,15 +1,15 @@
 """Features of the schema `taught`: the powers of a few groups of bands, as logarithms.
 
 A power is the geometric mean of the bands of a group. All but the last feature are logarithms of
-ratios to the least unfiltered band of ``near``, so with these alone a window times any c gives an
-answer times c^2. The last one is the logarithm of that scale itself: with it a model can know the
-level of the vehicle that it was made for.
+ratios to the least band of ``near``, so with these alone a window times any c gives an answer times
+c^2. The last one is the logarithm of that scale itself: with it a model can know the level of the
+vehicle that it was made for.
 """
 
 import numpy as np
 
 from insdvl.arrays import Array
-from insdvl.tuner.features.bands import FAST, SLOW, SMALLEST_RATIO, UNFILTERED, band_powers
+from insdvl.tuner.features.bands import FAST, SLOW, SMALLEST_RATIO, band_powers
 
 _FROM_SINGLE = 2  # the first band above steering and waves, 3.25 Hz on at 100 Hz
 
@@ -34,7 +34,7 @@ def group_features(windows: Array) -> tuple[Array, Array]:
         ValueError: `windows` has another shape, or a value is not within 1e70 of zero.
     """
     bands = band_powers(windows)
-    scale = bands.near[:, :UNFILTERED].min(axis=1)
+    scale = bands.near.min(axis=1)
     scale[scale < 0.0] = 0.0
     noisy = scale > 0.0
     unit = np.where(noisy, scale, 1.0)[:, None]
