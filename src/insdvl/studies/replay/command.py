@@ -138,7 +138,7 @@ def _navigated(
     recording, q_from = _with_process_noise(recording, filter_, tuner)
     recording, r_from = _with_measurement_noise(recording, filter_, tuner)
     end = min(stored.duration, arguments.end or math.inf)
-    progress = Progress("seconds", max(round(end - (arguments.begin or 0.0)), 1))
+    progress = Progress("seconds", max(int(end - (arguments.begin or 0.0)), 1))
     recording = Watched(recording, progress if sys.stderr.isatty() else None, ends)
 
     def judged(replayed: Replayed) -> tuple[dict[str, Any], Verdict]:
