@@ -17,7 +17,7 @@ class Line(NamedTuple):
     Attributes:
         label: What it is; a sentence of its own has none.
         text: The value or the sentence.
-        style: As rich names styles, such as ``bold red``.
+        style: Of the text up to its first colon, as rich names styles, such as ``bold red``.
     """
 
     label: str
@@ -70,7 +70,8 @@ def say(lines: Iterable[Line], width: int, stream: TextIO) -> None:
     from rich.text import Text
 
     for line in lines:
-        text = Text(line.text, line.style)
+        text = Text(line.text)
+        text.stylize(line.style, 0, line.text.find(":"))
         if not line.label:
             console.print(text)
             continue
