@@ -67,15 +67,11 @@ def _bar(label: str, total: int) -> "Bar | None":
     from rich import progress
 
     bar = progress.Progress(
-        progress.TextColumn("{task.description}", markup=False),
+        "{task.description}",
         progress.BarColumn(complete_style="default", finished_style="default"),
         progress.MofNCompleteColumn(),
-        progress.TimeElapsedColumn(),
-        progress.TextColumn("elapsed,"),
-        progress.TimeRemainingColumn(),
-        progress.TextColumn("left"),
+        progress.TimeRemainingColumn(elapsed_when_finished=True),
         console=console,
-        refresh_per_second=4,
         redirect_stdout=False,
     )
     bar.add_task(label, total=total)

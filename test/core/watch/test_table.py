@@ -197,6 +197,7 @@ DRAW = """
 import sys
 from dataclasses import replace
 from shown import SHOWN
+from insdvl.terminal import console_of
 from insdvl.watch.table.numbers import Finding
 from insdvl.watch.table.screen import Screen
 
