@@ -59,7 +59,7 @@ setup(
     install_requires=["numba", "numpy", "pyyaml", "scipy"],
     extras_require={
         "bags": ["lz4", "rosbags"],  # insdvl check, init and replay
-        "cli": ["shtab"],  # insdvl completion
+        "cli": ["rich", "shtab"],  # bars and tables in a terminal; insdvl completion
         "dask": ["dask", "distributed"],  # --backend dask
         "dnn": ["onnx", "torch"],  # insdvl train --preset dnn
         "jobs": ["joblib", "threadpoolctl"],  # insdvl evaluate, train and results

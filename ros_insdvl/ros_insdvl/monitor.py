@@ -17,10 +17,11 @@ from insdvl.arrays import Array
 from insdvl.messages.convert import RejectedMessage, stamp_ns
 from insdvl.messages.topics import ODOMETRY, PROCESS_NOISE, TRUE_PROCESS_NOISE, TRUTH
 from insdvl.navigation.events import NS
+from insdvl.terminal import console_of
 from insdvl.watch.monitor_parameters import MonitorParameters
-from insdvl.watch.table.layout import line, table
+from insdvl.watch.table.layout import line, plain
 from insdvl.watch.table.numbers import Shown, Triads, VelocityError
-from insdvl.watch.table.terminal import Screen, is_screen
+from insdvl.watch.table.screen import Screen
 from ros_insdvl.monitoring.polled import Polled
 from ros_insdvl.monitoring.watched import Watched
 from ros_insdvl.node import InsdvlNode
@@ -91,7 +92,8 @@ class Monitor(InsdvlNode[MonitorParameters]):
             self._listen(Imu, topic, _keep_variances(kept), command_qos())
         self._listen(DiagnosticArray, "/diagnostics", self._hear, publisher_qos())
         self.notes: tuple[str, ...] = ()
-        self._screen = Screen(sys.stdout) if is_screen(sys.stdout) else None
+        console = console_of(sys.stdout)
+        self._screen = None if console is None else Screen(console)
         self._last_line = ""
         clock = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(LOOK, self._look, clock=clock)
@@ -177,8 +179,9 @@ class Monitor(InsdvlNode[MonitorParameters]):
 
     def _print(self) -> None:
         if self._screen is not None:
-            size = self._screen.size
-            self._screen.draw(table(self.shown(), size, self.notes))
+            self._screen.draw(self.shown(), self.notes)
+        elif sys.stdout.isatty():
+            print(plain(self.shown(), self.notes), flush=True)
         elif (text := line(self.shown())) != self._last_line:
             print(text, flush=True)
             self._last_line = text

@@ -17,7 +17,8 @@ Rooms, lowest first; a room imports only from those above it in this list:
 ===============  ===================================================================================
 
 Beside them are arrays.py (array types), kernels.py (compilation), files.py and yaml_files.py (files
-within limits), extras.py (packages that only some uses need), commands.py and cli.py (the command).
+within limits), extras.py (packages that only some uses need), terminal.py (what people read there),
+commands.py and cli.py (the command).
 
 Names are those of the field. ``C_n_b`` rotates from b to n; ``v_n`` is a vector in the axes n;
 ``w_ib_b`` is the angular rate of b against i in the axes b; ``l_b_dvl`` is the position of the DVL

@@ -129,7 +129,7 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
         "results": _study("results", "recompute the pages of results", **_COMPUTES),
         "consistency": _study(
             "consistency",
-            "recompute the page on consistency: is the filter as good as it says?",
+            "recompute the page on consistency: errors against their sigmas",
             **_COMPUTES,
         ),
         "models": _about("models", "list the shipped models"),

@@ -1,6 +1,7 @@
 """The monitor: what it knows of filters, its table, and its process in a terminal."""
 
 import signal
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from insdvl.messages.convert import TWIST, RejectedMessage
 from insdvl.messages.make import flat_covariance, set_vector
 from insdvl.navigation.events import NS
 from insdvl.watch.consistency import nis_interval
-from insdvl.watch.table.layout import LABEL, Size, line, table
+from insdvl.watch.table.layout import blocks, line, told
 from insdvl.watch.table.numbers import WARN
 from ros_insdvl.conversions import time_of
 from ros_insdvl.filter import FilterNode
@@ -69,20 +70,13 @@ def graph(managed: Any) -> MonitorGraph:
 
 def rows(monitor: Monitor) -> dict[str, list[str]]:
     """The cells of each row of the table, by the row's label."""
-    lines = [one.text for one in table(monitor.shown(), Size(80, 100))]
-    columns = len(monitor.filters)
-    width = (80 - LABEL) // columns
-    return {
-        text[:LABEL].strip(): [
-            text[LABEL + k * width : LABEL + (k + 1) * width].strip() for k in range(columns)
-        ]
-        for text in lines
-    }
+    found = [row for block in blocks(monitor.shown(), 80) for row in block.rows]
+    return {label: list(cells) for label, *cells in found}
 
 
 def test_it_says_what_it_waits_for(graph: MonitorGraph) -> None:
     assert "no odometry yet" in line(graph.monitor.shown())
-    lines = [one.text for one in table(graph.monitor.shown(), Size(80, 100))]
+    lines = [one.text for one in told(graph.monitor.shown())]
     assert [text.split(":")[0] for text in lines if text.startswith("waits")] == [
         "waits for /a/insdvl_filter",
         "waits for /b/insdvl_filter",
@@ -172,7 +166,7 @@ def test_diagnostics_and_noise_are_shown(graph: MonitorGraph) -> None:
     assert shown["rates [Hz]"] == ["-", "IMU 99.9, odometry -"]
     assert shown["DVL"] == ["-", "0.4 s ago, 75.0 % of 12 used"]
     assert graph.monitor.filters[1].rejected == 7
-    assert ("/b WARN dvl: no DVL for 7 s", WARN) in table(graph.monitor.shown(), Size(80, 100))
+    assert ("/b WARN dvl: no DVL for 7 s", WARN) in list(told(graph.monitor.shown()))
 
 
 def test_a_filter_tells_all_that_the_table_shows(graph: MonitorGraph) -> None:
@@ -234,6 +228,22 @@ def test_it_draws_in_a_terminal(peer: Graph) -> None:
     assert not terminal.screen.alternate and terminal.screen.cursor_shown
     (said,) = [text for text in terminal.screen.lines if text.startswith("stamp")]
     assert said.startswith("stamp 1.0 s | /auv, depth 0.0 ± 1.7")
+
+
+def test_without_rich_it_prints_the_table_as_text() -> None:
+    code = "import sys; sys.modules['rich'] = None; from ros_insdvl.monitor import main; main()"
+    arguments = ["--ros-args", "-r", "__ns:=/auv", "-p", "period:=0.1"]
+    terminal = Terminal([sys.executable, "-c", code, *arguments], 80, 40)
+    try:
+        terminal.until(
+            lambda screen: any("waits for /auv/insdvl_filter" in text for text in screen.lines)
+        )
+        assert any(text.startswith("DVL  ") for text in terminal.screen.lines)
+        assert not terminal.screen.alternate
+        terminal.process.send_signal(signal.SIGINT)
+        assert terminal.end() == 0
+    finally:
+        terminal.close()
 
 
 def test_series_sorts_by_stamp_and_keeps_the_newest() -> None:

@@ -11,6 +11,7 @@ import termios
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from unicodedata import east_asian_width
 
 #: A control sequence, one character, or the beginning of a sequence whose end has not come.
 TOKEN = re.compile(r"\x1b\[([?0-9;]*)([A-Za-z])|(\x1b[^A-Za-z]*$)|(.)", re.DOTALL)
@@ -34,6 +35,7 @@ class Emulator:
         self._cursor_shown = True
         self._screens = {shown: self._blank(rows) for shown in (False, True)}
         self._row = self._column = 0
+        self._saved = 0, 0  # the cursor when the alternate screen was entered
         self._rest = ""
 
     def _blank(self, rows: int) -> list[list[str]]:
@@ -64,18 +66,18 @@ class Emulator:
         screen = self._screens[self.alternate]
         if (numbers, command) == ("", "H"):
             self._row = self._column = 0
-        elif (numbers, command) == ("", "K"):
-            last = min(self._column, self.columns - 1)
-            screen[self._row][last:] = [" "] * (self.columns - last)
-        elif (numbers, command) == ("", "J"):
-            last = min(self._column, self.columns - 1)
-            screen[self._row][last:] = [" "] * (self.columns - last)
-            screen[self._row + 1 :] = self._blank(self.rows - self._row - 1)
+        elif (numbers, command) == ("2", "K"):
+            screen[self._row] = [" "] * self.columns
+        elif command == "A":
+            self._row = max(self._row - int(numbers or 1), 0)
         elif command in "hl" and numbers in ("?1049", "?25"):
             if numbers == "?25":
                 self._cursor_shown = command == "h"
             else:
                 self.alternate = command == "h"
+                cursor = self._row, self._column
+                self._row, self._column = cursor if self.alternate else self._saved
+                self._saved = cursor
                 self._screens[True] = self._blank(self.rows)
         elif command != "m":
             raise AssertionError(f"unexpected control sequence ESC [ {numbers} {command}")
@@ -91,8 +93,12 @@ class Emulator:
         if self._column == self.columns:
             self._column = 0
             self._down()
-        self._screens[self.alternate][self._row][self._column] = character
+        row = self._screens[self.alternate][self._row]
+        row[self._column] = character
         self._column += 1
+        if east_asian_width(character) in "WF" and self._column < self.columns:
+            row[self._column] = ""  # the second cell of a wide character
+            self._column += 1
 
     def _down(self) -> None:
         if self._row < self.rows - 1:

@@ -30,7 +30,7 @@ COMES_ALONG = {"lz4", "threadpoolctl"}  # rosbags and scikit-learn need them
 ABOARD = {"numba", "numpy", "scipy", "yaml"}
 EXTRAS = {
     "bags": {"lz4", "rosbags"},
-    "cli": {"shtab"},
+    "cli": {"rich", "shtab"},
     "dask": {"dask", "distributed"},
     "dnn": {"onnx", "torch"},
     "jobs": {"joblib", "threadpoolctl"},

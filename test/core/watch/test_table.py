@@ -1,8 +1,10 @@
 """The monitor's table: digits, rows, words, findings, and that it fits into the terminal."""
 
+import io
 import os
 import sys
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,8 +13,8 @@ from shown import POSE, SHOWN
 from terminal import Emulator, Terminal
 
 from insdvl.watch.consistency import nis_interval
-from insdvl.watch.table.digits import cells, clipped, number, printable, with_sigma
-from insdvl.watch.table.layout import Size, line, table
+from insdvl.watch.table.digits import number, printable, with_sigma
+from insdvl.watch.table.layout import blocks, line, plain, title, told
 from insdvl.watch.table.numbers import (
     ERROR,
     WARN,
@@ -23,14 +25,35 @@ from insdvl.watch.table.numbers import (
     VelocityError,
 )
 from insdvl.watch.table.rows import bar
+from insdvl.watch.table.screen import Screen
 
 SILENT_NOW = Shown("/other", "/other/insdvl_filter")
-WIDE, NARROW = Size(120, 60), Size(80, 60)
+WIDE, NARROW = 120, 80  # columns
 
 
-def row(label: str, *filters: Shown, size: Size = WIDE) -> str:
-    (found,) = [one.text for one in table(filters, size) if one.text.startswith(label)]
-    return " ".join(found.removeprefix(label).split())
+def row(label: str, *filters: Shown, columns: int = WIDE) -> str:
+    """The texts of a row, of the block that has it."""
+    rows = [one for block in blocks(filters, columns) for one in block.rows]
+    (found,) = [texts for name, *texts in rows if name == label]
+    return " ".join(found)
+
+
+def said(*filters: Shown) -> list[tuple[str, int]]:
+    return [(one.text, one.level) for one in told(filters)]
+
+
+def screen_of(filters: list[Shown], columns: int, rows: int) -> list[str]:
+    """What a terminal shows of a table; nothing scrolls."""
+    console = pytest.importorskip("rich.console").Console
+    file = io.StringIO()
+    given: dict[str, Any] = {"force_terminal": True, "width": columns, "height": rows}
+    screen = Screen(console(file=file, highlight=False, _environ={}, **given))
+    screen.draw(filters)
+    terminal = Emulator(columns, rows)
+    terminal.feed(file.getvalue().replace("\n", "\r\n"))  # as a terminal does
+    screen.close()
+    assert terminal.alternate and terminal.scrolled == 0
+    return terminal.lines
 
 
 @pytest.mark.parametrize(
@@ -58,20 +81,15 @@ def test_of_several_values_the_largest_sigma_counts() -> None:
     assert number(np.inf) == "-"
 
 
-def test_a_text_is_cut_to_its_cells() -> None:
-    assert clipped("abcdef", 6) == "abcdef"
-    assert clipped("abcdefg", 6) == "abcde…"
-    assert cells("海ö") == 3
-    assert cells(clipped("海海海海", 6)) <= 6
+def test_a_text_moves_no_cursor() -> None:
     assert printable("a\x1b[2Jb\n") == "a?[2Jb?"
 
 
 def test_the_state_comes_first() -> None:
-    lines = [one.text for one in table([SHOWN], WIDE)]
-    assert lines[0] == "insdvl monitor, stamp 1234.6 s"
-    assert "/learned" in lines[1]
-    first = [text.split("  ")[0] for text in lines[2:9]]
-    assert first == [
+    assert title([SHOWN]) == "insdvl monitor, stamp 1234.6 s"
+    (block,) = blocks([SHOWN], WIDE)
+    assert block.rows[0] == ("", "/learned")
+    assert [label for label, _ in block.rows[1:8]] == [
         "state",
         "north [m]",
         "east [m]",
@@ -103,7 +121,7 @@ def test_what_the_rows_say() -> None:
 )
 def test_without_a_truth_the_innovations_speak(nis: float | None, said: str) -> None:
     assert said in row("fit", replace(SHOWN, nis=nis))
-    assert not [one for one in table([SHOWN], WIDE) if one.text.startswith("truth")]
+    assert "truth" not in plain([SHOWN])
     error = VelocityError(now=0.123, rms=0.11, three_sigma=0.3)
     assert row("truth [m/s]", replace(SHOWN, error=error)) == "0.123 off, RMS 0.11, 3 sigma 0.3"
 
@@ -123,49 +141,54 @@ def test_the_bar_marks_the_nis_inside_and_outside() -> None:
 
 
 def test_what_is_waited_for_is_said() -> None:
-    lines = [one.text for one in table([SILENT_NOW], NARROW)]
-    assert any(text.startswith("waits for /other/insdvl_filter: start it") for text in lines)
+    ((text, _),) = said(SILENT_NOW)
+    assert text.startswith("waits for /other/insdvl_filter: start it")
     assert row("state", SILENT_NOW) == "not heard of yet"
     assert "stamp none, no odometry yet" in line([SILENT_NOW])
-    ended = table([replace(SHOWN, silent=7.0)], NARROW)
-    assert ("/learned ERROR no diagnostics for 7 s, it may have ended", ERROR) in ended
+    ended = said(replace(SHOWN, silent=7.0))
+    assert ended == [("/learned ERROR no diagnostics for 7 s, it may have ended", ERROR)]
 
 
 def test_findings_have_lines_of_their_own() -> None:
     text = "dvl: no DVL measurement used for 7 s: " + "none is received, check the driver; " * 5
     found = replace(SHOWN, findings=(Finding(ERROR, text), Finding(WARN, "imu: gaps")))
-    lines = table([found], NARROW)
-    errors = [one.text for one in lines if one.level == ERROR]
-    assert errors[0].startswith("/learned ERROR dvl: no DVL measurement")
-    assert len(errors) > 2 and " ".join(" ".join(errors).split()).endswith("check the driver;")
-    assert lines[-1] == ("/learned WARN imu: gaps", WARN)
+    assert said(found) == [(f"/learned ERROR {text}", ERROR), ("/learned WARN imu: gaps", WARN)]
+    lines = screen_of([found], NARROW, 60)
+    begin = next(k for k, one in enumerate(lines) if one.startswith("/learned ERROR dvl: no DVL"))
+    shown = " ".join(lines[begin:]).split()
+    assert shown == f"/learned ERROR {text} /learned WARN imu: gaps".split()
 
 
-@pytest.mark.parametrize("columns", [80, 100, 120, 200])
+@pytest.mark.parametrize("columns", [60, 80, 100, 120, 200])
 @pytest.mark.parametrize("count", [1, 2, 5])
 def test_it_fits_into_the_terminal(columns: int, count: int) -> None:
+    """Rows are cut at their column, what is too much below is counted."""
     findings = tuple(Finding(WARN, "海" * 100 + "\x1b[2J" + "x" * 300) for _ in range(9))
-    filters = [replace(SHOWN, findings=findings)] * count
-    for rows in (24, 100):
-        lines = table(filters, Size(columns, rows))
-        assert len(lines) <= rows
-        assert max(cells(one.text) for one in lines) <= columns
-        assert not any("\x1b" in one.text for one in lines)
-    if count == 1:
-        assert "more lines" in table(filters, Size(columns, 30))[-1].text
+    filters = [replace(SHOWN, label="x" * 300, findings=findings)] * count
+    for rows in (24, 30, 60):
+        lines = screen_of(filters, columns, rows)
+        assert any("more lines: make the terminal higher" in text for text in lines)
+        assert lines[0] == "insdvl monitor, stamp 1234.6 s" and "…" in lines[1]
 
 
 def test_filters_stand_side_by_side_where_there_is_room() -> None:
     both = [SHOWN, SILENT_NOW]
-    assert row("depth [m]", *both, size=NARROW) == "12.346 ± 0.052 -"
-    assert len([1 for one in table([SHOWN] * 3, NARROW) if one.text.startswith("depth [m]")]) == 2
-    assert len([1 for one in table([SHOWN] * 3, WIDE) if one.text.startswith("depth [m]")]) == 1
+    assert row("depth [m]", *both, columns=NARROW) == "12.346 ± 0.052 -"
+    assert [len(block.rows[0]) - 1 for block in blocks([SHOWN] * 3, NARROW)] == [2, 1]
+    assert [len(block.rows[0]) - 1 for block in blocks([SHOWN] * 3, WIDE)] == [3]
+
+
+def test_without_rich_the_table_is_text() -> None:
+    lines = plain([SHOWN, SILENT_NOW], ["a note"]).splitlines()
+    assert lines[1] == "insdvl monitor, stamp 1234.6 s"
+    assert "depth [m]        12.346 ± 0.052               -" in lines
+    assert lines[-1] == "a note" and lines[-2].startswith("waits for /other/insdvl_filter")
 
 
 def test_nothing_that_a_node_reports_breaks_the_table() -> None:
     odd = Pose(np.nan, *(np.full(3, np.nan) for _ in range(6)))
     strange = replace(SHOWN, pose=odd, nis=1e300, bias_sigma=Triads(*np.full((2, 3), np.nan)))
-    assert table([strange], NARROW) and line([strange])
+    assert plain([strange]) and line([strange]) and screen_of([strange], NARROW, 40)
     at_rest = replace(POSE, velocity=np.zeros(3))
     assert row("speed [m/s]", replace(SHOWN, pose=at_rest)) == "0.000 ± 0.021"
 
@@ -174,16 +197,15 @@ DRAW = """
 import sys
 from dataclasses import replace
 from shown import SHOWN
-from insdvl.watch.table.layout import table
+from insdvl.terminal import console_of
 from insdvl.watch.table.numbers import Finding
-from insdvl.watch.table.terminal import Screen, is_screen
+from insdvl.watch.table.screen import Screen
 
-assert is_screen(sys.stdout)
-screen = Screen(sys.stdout)
+screen = Screen(console_of(sys.stdout))
 long = replace(SHOWN, findings=(Finding(2, "x" * 1000),))
 print("before")
 for shown in ([long], [SHOWN], [SHOWN, SHOWN], [SHOWN]):
-    screen.draw(table(shown, screen.size))
+    screen.draw(shown)
 sys.stdin.readline()
 screen.close()
 print("after")
@@ -193,11 +215,10 @@ print("after")
 @pytest.mark.parametrize(("columns", "rows"), [(80, 24), (120, 60)])
 def test_a_terminal_shows_the_table_and_is_given_back(columns: int, rows: int) -> None:
     """What was drawn before, longer or wider, is gone; nothing scrolls."""
+    expected = screen_of([SHOWN], columns, rows)
     paths = {"PYTHONPATH": os.pathsep.join(sys.path)}
     terminal = Terminal([sys.executable, "-c", DRAW], columns, rows, paths)
     try:
-        expected = [one.text.rstrip() for one in table([SHOWN], Size(columns, rows))]
-        expected += [""] * (rows - len(expected))
         terminal.until(lambda screen: screen.alternate and screen.lines == expected)
         assert terminal.screen.scrolled == 0 and not terminal.screen.cursor_shown
         terminal.type("\n")

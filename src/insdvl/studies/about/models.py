@@ -10,11 +10,12 @@ from insdvl.tuner.models import shipped_cards
 
 _HEADER = ("name", "kind", "inputs", "window", "trained on", "error", "needs")
 _FOOT = """\
-window: samples; trained on: variances of white noise, or kinds of vehicles; error, on
-what training has not seen: relative RMSE, or RMS of the logarithm of the variance.
+window: samples; trained on: variances of white noise, or kinds of vehicles;
+error, on what training has not seen: relative RMSE, or RMS of the logarithm of
+the variance; onnx: needs insdvl[onnx].
 The tuner's parameter 'model' takes a name."""
 #: Extra of the packages that a kind of model needs aboard.
-_NEEDS = {"network": "insdvl[onnx]"}
+_NEEDS = {"network": "onnx"}
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -51,7 +52,7 @@ def _row(card: Mapping[str, Any]) -> tuple[str, ...]:
         card["kind"],
         card["feature_schema"],
         str(card["window"]),
-        f"{len(kinds)} kinds of vehicles" if kinds else trained_on,
+        f"{len(kinds)} kinds" if kinds else trained_on,
         f"{error:.1%}" if error is not None else f"{of_vehicles:.2f} in log" if of_vehicles else "",
         _NEEDS.get(card["kind"], ""),
     )

@@ -93,4 +93,6 @@ def looked_at(
             return inspect(bag, filter_, replay, adapt=adapt)
         size = sum(topic.size for topic in bag.topics.values() if topic.type in READ)
         with Progress("messages", size) as progress:
-            return inspect(bag, filter_, replay, adapt=adapt, show=progress.show)
+            seen = inspect(bag, filter_, replay, adapt=adapt, show=progress.show)
+            progress.show(size)
+            return seen

@@ -32,8 +32,9 @@ from insdvl.studies.replay.inputs.learning import Learned, LearnedOfDvl
 from insdvl.studies.replay.inputs.watched import Watched, interruption
 from insdvl.studies.replay.result import Output, new_folder
 from insdvl.studies.replay.scores import report
-from insdvl.studies.replay.text import side_by_side, table_of, verdict_of
+from insdvl.studies.replay.text import TABLE, VERDICT, side_by_side, table_of, verdict_of
 from insdvl.studies.report.facts import card_of, changed_parameters, versions
+from insdvl.terminal import say
 from insdvl.tuner.parameters import TunerParameters
 from insdvl.watch.start import waits_for
 
@@ -92,12 +93,12 @@ def _replay(arguments: argparse.Namespace) -> tuple[bool, bool]:
         document["compared"] = compared
     write_document(arguments.json, document)
     words = sys.stderr if arguments.json == TERMINAL else sys.stdout
-    print(table_of(document), file=words)
+    say(table_of(document), TABLE, words)
     if out is not None:
         print(f"{'result':32} {out}", file=words)
     if without_report:
         print(f"{'report.html':32} left out: {without_report}", file=words)
-    print(verdict_of(document), file=words)
+    say(verdict_of(document), VERDICT, words)
     if compared:
         print(side_by_side([document, *compared]), file=words)
     if document["interrupted"]:
@@ -137,7 +138,7 @@ def _navigated(
     recording, q_from = _with_process_noise(recording, filter_, tuner)
     recording, r_from = _with_measurement_noise(recording, filter_, tuner)
     end = min(stored.duration, arguments.end or math.inf)
-    progress = Progress("seconds", max(round(end - (arguments.begin or 0.0)), 1))
+    progress = Progress("seconds", max(int(end - (arguments.begin or 0.0)), 1))
     recording = Watched(recording, progress if sys.stderr.isatty() else None, ends)
 
     def judged(replayed: Replayed) -> tuple[dict[str, Any], Verdict]:

@@ -1,9 +1,14 @@
-"""The recording of `insdvl replay --out`: the inputs, and what the filter node publishes."""
+"""The recording of `insdvl replay --out`: the inputs, and what the filter node publishes.
+
+Covariances are rounded to single precision: the last digits of a double are as good as random, and
+do not compress.
+"""
 
 from collections.abc import Sequence
 
 import numpy as np
 
+from insdvl.arrays import Array
 from insdvl.messages.cdr.odometry_bytes import OdometryColumns, encode_odometries
 from insdvl.messages.convert import FIX, TWIST_WITH_COVARIANCE
 from insdvl.messages.convert import ODOMETRY as ODOMETRY_TYPE
@@ -70,7 +75,11 @@ class OutputBag:
 
     def _odometries(self, topic: str, frames: tuple[str, str], columns: OdometryColumns) -> None:
         """Write the odometries of a topic, recorded at their stamps."""
-        messages = encode_odometries(frames, columns)
+        rounded = columns._replace(
+            pose_covariance=_rounded(columns.pose_covariance),
+            twist_covariance=_rounded(columns.twist_covariance),
+        )
+        messages = encode_odometries(frames, rounded)
         for time_ns, data in zip(columns.stamps_ns.tolist(), messages, strict=True):
             self._bag.write(Raw(topic, ODOMETRY_TYPE, time_ns, data))
 
@@ -78,15 +87,15 @@ class OutputBag:
         stamp_ns = int(track.stamps_ns[k])
         message = new_message(FIX)
         message.header.frame_id = self._parameters.base_frame
-        fill_fix(message, stamp_ns, track.place[k], track.place_covariance[k])
+        fill_fix(message, stamp_ns, track.place[k], _rounded(track.place_covariance[k]))
         self._bag.write(encode(f"/{GLOBAL_POSITION}", stamp_ns, message))
         message = imu_message(
             stamp_ns,
             self._frame_ids[IMU],
             track.accelerometer_bias[k],
             track.gyroscope_bias[k],
-            track.accelerometer_bias_covariance[k],
-            track.gyroscope_bias_covariance[k],
+            _rounded(track.accelerometer_bias_covariance[k]),
+            _rounded(track.gyroscope_bias_covariance[k]),
         )
         self._bag.write(encode("/imu/bias", stamp_ns, message))
 
@@ -109,5 +118,10 @@ class OutputBag:
             message.header.frame_id = sensors[report.measurement]
             model = filter_.models[report.measurement]
             nu, S = model.in_stream(report.innovation, report.S)
-            fill_innovation(message, update.stamp_ns, nu, S, angles=model.angles)
+            fill_innovation(message, update.stamp_ns, nu, _rounded(S), angles=model.angles)
             self._bag.write(encode(f"/{report.measurement}/innovation", update.stamp_ns, message))
+
+
+def _rounded(covariance: Array) -> Array:
+    """To the 24 bits of a single, about 7 digits, as doubles."""
+    return covariance.astype(np.float32).astype(float)

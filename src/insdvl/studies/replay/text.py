@@ -4,6 +4,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from insdvl.studies.judgement.numbers import refusals
+from insdvl.terminal import Line
 
 _ROWS = (
     ("velocity RMSE, navigation axes", "velocity_rmse", "m/s"),
@@ -23,6 +24,9 @@ _ALWAYS = (
     ("DVL rejected", "dvl_rejected", ""),
     ("process noise", "process_noise", ""),
 )
+#: Widths of the labels, and the styles of judgements by what they begin with.
+TABLE, VERDICT = 32, 20
+_STYLES = {"FITS": "bold green", "NOT RIGHT": "bold red", "": "bold yellow"}
 #: Of the prediction of withheld measurements.
 _WITHHELD = (
     ("error", "error", "m/s"),
@@ -31,30 +35,31 @@ _WITHHELD = (
 )
 
 
-def table_of(document: dict[str, Any]) -> str:
+def table_of(document: dict[str, Any]) -> Iterator[Line]:
     """The table of the command's JSON document; errors only where there is a reference.
 
     What the verdict says is left to it.
     """
-    lines = [f"{'recording':32} {document['bag']}, {document['duration']:.5g} s"]
-    lines.append(f"{'configuration':32} {document['configuration']}")
+    yield Line("recording", f"{document['bag']}, {document['duration']:.5g} s")
+    yield Line("configuration", document["configuration"])
     has_reference = document["reference_stamps"] >= 2
     if not has_reference:
-        lines.append(f"{'reference':32} none in the recording: judged by the innovations")
+        yield Line("reference", "none in the recording: judged by the innovations")
     for text, name, unit in (*(_ROWS if has_reference else ()), *_ALWAYS):
         value = document[name]
         shown = "unknown" if value is None else value
         if isinstance(value, float):
             shown = f"{value:.4g}"
-        lines.append(f"{text:32} {shown} {unit}".rstrip())
+        yield Line(text, f"{shown} {unit}".rstrip())
     if jumps := document["counts"]["time_jumps"]:
-        lines.append(f"{'time jumps':32} {jumps}; errors are those after the last one")
+        yield Line("time jumps", f"{jumps}; errors are those after the last one")
     if document["start"]:
-        lines.append(f"start: {document['start']}")
-    further = [finding for finding in document["findings"] if not _told(finding, document)]
-    lines += [f"finding: {finding}" for finding in further]
-    lines += [f"{'not used: ' + key:32} {count}" for key, count in document["rejected"].items()]
-    return "\n".join(lines)
+        yield Line("", f"start: {document['start']}")
+    for finding in document["findings"]:
+        if not _told(finding, document):
+            yield Line("", f"finding: {finding}")
+    for key, count in document["rejected"].items():
+        yield Line(f"not used: {key}", str(count))
 
 
 def _told(finding: str, document: dict[str, Any]) -> bool:
@@ -63,17 +68,22 @@ def _told(finding: str, document: dict[str, Any]) -> bool:
     return any(x["text"].startswith(what) for x in document["verdict"]["findings"])
 
 
-def verdict_of(document: dict[str, Any]) -> str:
+def verdict_of(document: dict[str, Any]) -> Iterator[Line]:
     """The verdict: numbers with what they should be, further findings, and the judgement."""
     numbers = document["verdict"]
-    lines = ["", "Is it right?", *(f"  {line}" for line in _numbers(document, numbers))]
+    yield Line("", "\nIs it right?")
+    for label, text in _numbers(document, numbers):
+        yield Line(f"  {label}", text)
     for finding in numbers["findings"]:
         if finding["text"] in numbers["judgement"]:
             continue
-        lines.append(f"  - {finding['text']}")
+        yield Line("", f"  - {finding['text']}")
         if finding["remedy"]:
-            lines.append(f"    {finding['remedy']}")
-    return "\n".join([*lines, numbers["judgement"]])
+            yield Line("", f"    {finding['remedy']}")
+    judgement = numbers["judgement"]
+    yield Line(
+        "", judgement, next(s for begin, s in _STYLES.items() if judgement.startswith(begin))
+    )
 
 
 def side_by_side(documents: Sequence[dict[str, Any]]) -> str:
@@ -106,47 +116,52 @@ def _shown(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value).partition(",")[0]
 
 
-def _numbers(document: dict[str, Any], numbers: dict[str, Any]) -> Iterator[str]:
+def _numbers(document: dict[str, Any], numbers: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """What a number is, and the number with what it should be."""
     if innovations := numbers["innovations"]:
         low, high = innovations["nis_bounds"]
         yield (
-            f"NIS                {innovations['nis_mean']:.2f}, should be "
+            "NIS",
+            f"{innovations['nis_mean']:.2f}, should be "
             f"{innovations['nis_expected']:g} ({low:.2f} to {high:.2f} by chance), over all "
             f"{innovations['judged']} that were judged; median {innovations['nis_median']:.2f}, "
-            f"should be {innovations['nis_median_expected']:.2f}"
+            f"should be {innovations['nis_median_expected']:.2f}",
         )
     if (share := numbers["refused_share"]) is not None:
         by = ", ".join(f"{name} {count}" for name, count in refusals(document).items())
-        yield f"refused            {100.0 * share:.1f} % of the DVL" + (f" ({by})" if by else "")
+        yield "refused", f"{100.0 * share:.1f} % of the DVL" + (f" ({by})" if by else "")
     if innovations:
         yield (
-            f"correlation        {innovations['autocorrelation']:+.3f} of neighbouring innovations "
-            f"(white: within {innovations['autocorrelation_bound']:.3f})"
+            "correlation",
+            f"{innovations['autocorrelation']:+.3f} of neighbouring innovations "
+            f"(white: within {innovations['autocorrelation_bound']:.3f})",
         )
         means = ", ".join(
             f"{axis} {value:+.1f}"
             for axis, value in zip("xyz", innovations["mean_in_standard_errors"], strict=False)
         )
-        yield f"mean innovation    {means} standard errors"
+        yield "mean innovation", f"{means} standard errors"
     if noise := numbers["dvl_noise"]:
         yield (
-            f"noise of the DVL   {noise['shown']:.2g} m/s as the recording shows it, "
-            f"{noise['told']:.2g} as told"
+            "noise of the DVL",
+            f"{noise['shown']:.2g} m/s as the recording shows it, {noise['told']:.2g} as told",
         )
     for sensor, bias in (numbers["biases"] or {}).items():
         if bias["in_initial_sigmas"]:
             values = ", ".join(f"{value:+.1f}" for value in bias["in_initial_sigmas"])
-            yield f"{sensor + ' bias':18} {values} of its initial sigma"
+            yield f"{sensor} bias", f"{values} of its initial sigma"
     if position := numbers["position"]:
         yield (
-            f"position           {position['distance']:.4g} m travelled; sigma at the end "
+            "position",
+            f"{position['distance']:.4g} m travelled; sigma at the end "
             f"{position['horizontal_sigma']:.2g} m horizontally, {position['depth_sigma']:.2g} m "
-            f"in depth, {position['heading_sigma_deg']:.2g} deg in heading"
+            f"in depth, {position['heading_sigma_deg']:.2g} deg in heading",
         )
     for w in numbers["withheld"]:
         low, high = w["nis_bounds"]
         yield (
-            f"{w['seconds']:3g} s without DVL  {w['error']:.2g} m/s off, sigma {w['sigma']:.2g}; "
+            f"{w['seconds']:3g} s without DVL",
+            f"{w['error']:.2g} m/s off, sigma {w['sigma']:.2g}; "
             f"NIS {w['nis_mean']:.2f} ({low:.2f} to {high:.2f} by chance), "
-            f"{100.0 * w['covered']:.0f} % of {w['count']} within 95 %"
+            f"{100.0 * w['covered']:.0f} % of {w['count']} within 95 %",
         )

@@ -1,8 +1,8 @@
-"""Numbers with as many digits as mean something, and texts of a width in cells."""
+"""Numbers with as many digits as mean something, and texts that move no cursor."""
 
 import math
 from collections.abc import Iterable
-from unicodedata import category, east_asian_width
+from unicodedata import category
 
 UNKNOWN = "-"
 #: A sigma is shown with so many significant digits, and its value to the last of them.
@@ -44,33 +44,3 @@ def with_sigma(values: Iterable[float], sigmas: Iterable[float]) -> str:
 def printable(text: str) -> str:
     """A text in one row that moves no cursor: what other nodes write may hold anything."""
     return "".join("?" if category(c) in ("Cc", "Cf", "Cs", "Co", "Cn") else c for c in text)
-
-
-def cells(text: str) -> int:
-    """How many cells of a terminal a text takes."""
-    return sum(_cells(c) for c in text)
-
-
-def _cells(character: str) -> int:
-    if category(character) in ("Mn", "Me"):
-        return 0
-    return 2 if east_asian_width(character) in "WF" else 1
-
-
-def clipped(text: str, width: int) -> str:
-    """A text of at most so many cells; one that was longer ends in ``…``."""
-    if cells(text) <= width:
-        return text
-    kept, used = "", 0
-    for character in text:
-        used += _cells(character)
-        if used > width - 1:
-            break
-        kept += character
-    return f"{kept}…"
-
-
-def padded(text: str, width: int) -> str:
-    """A text of exactly so many cells."""
-    text = clipped(text, width)
-    return text + " " * (width - cells(text))

@@ -1,5 +1,5 @@
 "use strict";
-// Draws the figures, the first ones first, and moves all time axes together.
+// Unpacks plotly.js, draws the figures, the first ones first, and moves all time axes together.
 const { figures, arrays } = JSON.parse(document.getElementById("figures").textContent);
 restore(figures);
 const places = [...document.querySelectorAll(".figure")];
@@ -23,6 +23,16 @@ function restore(value) {
   if (value === null || typeof value !== "object") return;
   if (typeof value.bdata === "number") value.bdata = arrays[value.bdata];
   Object.values(value).forEach(restore);
+}
+
+// Base64 of gzip: Chromium 80, Firefox 113, Safari 16.4 and later.
+async function unpack() {
+  const packed = document.getElementById("plotly").textContent;
+  const bytes = (await fetch(`data:application/gzip;base64,${packed}`)).body;
+  const stream = bytes.pipeThrough(new DecompressionStream("gzip"));
+  const script = document.createElement("script");
+  script.textContent = await new Response(stream).text();
+  document.head.append(script);
 }
 
 async function draw(place) {
@@ -55,6 +65,12 @@ function follow(moved, change) {
 
 // One figure at a time, so that the page can be read and moved meanwhile.
 async function drawAll() {
+  try {
+    await unpack();
+  } catch (error) {
+    document.getElementById("undrawn").hidden = false;
+    throw error;
+  }
   for (const place of places) {
     await draw(place);
     await new Promise((go) => setTimeout(go));
