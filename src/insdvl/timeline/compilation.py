@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from insdvl.navigation.events import NS, Event, Imu, ProcessNoise
+from insdvl.navigation.measurement_noise import levels
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.measurements.heading import Heading
 from insdvl.navigation.parameters import FilterParameters
@@ -48,4 +49,6 @@ def compile_fold(parameters: FilterParameters) -> None:
     for event in events:
         fold.add(event)
     fold.take()
+    one = levels.Whitened(np.ones(3), np.ones(3))
+    levels.learned(levels.moved(levels.PRIOR, 1.0), one, levels.SMALLEST)
     gyrocompass.jacobian(np.eye(3), 0.0, 0.0)  # calls the Earth's rate and gravity, as a start does

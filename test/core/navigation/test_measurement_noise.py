@@ -1,76 +1,117 @@
-"""The estimate of a DVL's noise: its recursion, its window and its guard, without a filter."""
+"""The estimate of a DVL's noise: its levels, its window and its guard, without a filter."""
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
 from insdvl.navigation.events import NS
-from insdvl.navigation.measurement_noise import guard, recursion, window
+from insdvl.navigation.measurement_noise import guard, levels, window
 from insdvl.navigation.measurement_noise.guard import Correlation
-from insdvl.navigation.measurement_noise.recursion import Belief, evidence, forgotten, whitened
+from insdvl.navigation.measurement_noise.levels import LEVELS, PRIOR, learned, moved, whitened
 
 R_0 = np.array([[4.0, 1.0, 0.0], [1.0, 9.0, -1.0], [0.0, -1.0, 1.0]]) * 1e-4
 M = np.array([[2.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 3.0]]) * 1e-4
-ALL = (1e-6, 1e6)
+LOW = levels.SMALLEST
 
 
-# ------------------------------------------------------------------ the recursion
+# ------------------------------------------------------------------ the levels
 
 
-def test_the_evidence_is_the_expected_square_of_the_noise() -> None:
-    """E[n^T R_0^-1 n | nu], with n and nu jointly normal."""
-    nu, factor = np.array([0.03, -0.02, 0.01]), 2.5
-    gain = factor * R_0 @ np.linalg.inv(factor * R_0 + M)
-    mean, covariance = gain @ nu, factor * R_0 - gain @ (factor * R_0)
-    expected = np.trace(np.linalg.solve(R_0, np.outer(mean, mean) + covariance))
-    assert evidence(whitened(nu, M, R_0), factor) == pytest.approx(expected, rel=1e-12)
+def test_the_probabilities_are_those_of_bayes_rule() -> None:
+    nu = np.array([0.03, -0.02, 0.01])
+    found, _ = learned(PRIOR, whitened(nu, M, R_0), LOW)
+    likelihoods = [multivariate_normal(np.zeros(3), level * R_0 + M).pdf(nu) for level in LEVELS]
+    expected = PRIOR * likelihoods / np.sum(PRIOR * likelihoods)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
-def test_the_true_factor_is_the_fixed_point_of_the_mean() -> None:
-    """E[evidence] = m lambda: 2000 innovations, with a sigma of the mean of 0.9 %."""
-    rng, factor = np.random.default_rng(1), 0.3
-    nu = rng.multivariate_normal(np.zeros(3), factor * R_0 + M, 2000)
-    told = [evidence(whitened(one, M, R_0), factor) for one in nu]
-    sigma = np.std(told) / np.sqrt(len(told))
-    assert abs(np.mean(told) - 3.0 * factor) < 4.0 * sigma < 0.04 * 3.0 * factor
+def mixture(p: np.ndarray, known: np.ndarray, nu: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean gain (3,) of an error with the variances ``known``, and its variance (3,) behind it."""
+    k = known / (known + LEVELS[:, None])
+    mean = p @ k
+    of_levels = known * LEVELS[:, None] / (known + LEVELS[:, None])
+    return mean, p @ (of_levels + (k - mean) ** 2 * nu**2)
+
+
+@pytest.mark.parametrize("known", [1e-6, 0.02, 1.0, 50.0])
+def test_one_correction_has_the_mean_and_the_covariance_of_the_mixture(known: float) -> None:
+    """With the factor of the gain, and that of Joseph's form beside it."""
+    nu, d = np.array([1.5, -0.5, 0.8]), np.full(3, known)
+    p, factors = learned(PRIOR, whitened(nu, np.diag(d), np.eye(3)), LOW)
+    mean, variance = mixture(p, d, nu)
+    k = d / (d + factors.gain)
+    np.testing.assert_allclose(k, mean, rtol=1e-9)
+    joseph = (1.0 - k) ** 2 * d + k**2 * factors.covariance
+    assert joseph.mean() == pytest.approx(variance.mean(), rel=1e-9)
+
+
+def test_where_the_factor_is_known_both_are_it() -> None:
+    """600 pings of the same noise, of which nothing is forgotten."""
+    rng, p = np.random.default_rng(1), PRIOR
+    for nu in rng.multivariate_normal(np.zeros(3), 0.3 * R_0 + M, 600):
+        p, factors = learned(p, whitened(nu, M, R_0), LOW)
+    assert factors.gain == pytest.approx(0.3, rel=0.25)
+    assert factors.covariance == pytest.approx(factors.gain, rel=0.1)
 
 
 def test_an_innovation_of_the_filter_s_own_error_teaches_nothing() -> None:
-    nu = np.array([5.0, -3.0, 4.0])
-    assert evidence(whitened(nu, 1e6 * np.eye(3), R_0), 0.7) == pytest.approx(2.1, rel=1e-6)
+    nu = np.array([500.0, -300.0, 400.0]) * 1e-2
+    found, _ = learned(PRIOR, whitened(nu, 1e6 * np.eye(3), R_0), LOW)
+    np.testing.assert_allclose(found, PRIOR, rtol=1e-3)
+
+
+def test_a_ping_that_does_not_fit_makes_its_own_gain_small() -> None:
+    """Ten sigma behind a minute of quiet: the first one already is taken for noise."""
+    p, quiet = PRIOR, whitened(np.full(3, 0.1), 0.01 * np.eye(3), np.eye(3))
+    for _ in range(300):
+        p, before = learned(moved(p, 0.2), quiet, LOW)
+    loud = whitened(np.array([1.0, -1.0, 1.0]), 0.01 * np.eye(3), np.eye(3))
+    _, after = learned(moved(p, 0.2), loud, LOW)
+    assert before.gain < 0.05
+    assert after.gain > 10.0 * before.gain
+
+
+def test_what_was_learned_is_forgotten_with_time() -> None:
+    one = np.zeros(LEVELS.size)
+    one[10] = 1.0
+    kept = 1.0 - np.exp(-1.0)
+    assert moved(one, levels.STAY).sum() == pytest.approx(1.0, rel=1e-12)
+    assert np.abs(moved(one, levels.STAY) - PRIOR)[:5].max() < np.exp(-1.0)
+    assert moved(one, levels.STAY)[-1] == pytest.approx(kept * PRIOR[-1], rel=1e-6)
+    np.testing.assert_allclose(moved(one, 1e4), PRIOR, atol=1e-12)
 
 
 def test_without_noise_the_factor_goes_to_the_floor() -> None:
-    belief, nothing = Belief(2.0, 2.0), whitened(np.zeros(3), 1e-12 * np.eye(3), R_0)
+    p, nothing = PRIOR, whitened(np.zeros(3), 1e-12 * np.eye(3), R_0)
     for _ in range(200):
-        belief = recursion.learned(forgotten(belief, 0.2, 6.0, 8.0), nothing, 0.01, 100.0)
-    assert belief.factor == pytest.approx(0.01)
+        p, factors = learned(moved(p, 0.2), nothing, 0.01)
+    assert 0.01 <= factors.gain < 0.0102
 
 
-def test_a_constant_noise_is_found_with_the_spread_of_the_memory() -> None:
-    """sigma of the mean of squares with weights rho^k: sqrt(2/3 (1 - rho)/(1 + rho)), 10.5 %."""
-    rng, belief, found = np.random.default_rng(2), Belief(2.0, 2.0), []
+def test_a_constant_noise_is_found() -> None:
+    """A factor of 0.5 among 300 jumps that did not happen: its mean to 5 %, its spread 20 %."""
+    rng, p, found = np.random.default_rng(2), PRIOR, []
     L = np.linalg.cholesky(0.5 * R_0 + 0.01 * M)
     for _ in range(3000):
-        belief = forgotten(belief, 0.2, 6.0, 8.0)
         nu = L @ rng.standard_normal(3)
-        belief = recursion.learned(belief, whitened(nu, 0.01 * M, R_0), *ALL)
-        found.append(belief.factor)
-    rho = np.exp(-0.2 / 6.0)
-    spread = np.sqrt(2.0 / 3.0 * (1.0 - rho) / (1.0 + rho))
-    assert np.mean(found[300:]) == pytest.approx(0.5, rel=4.0 * spread * np.sqrt(60.0 / 2700.0))
-    assert np.std(found[300:]) == pytest.approx(0.5 * spread, rel=0.3)
+        p, factors = learned(moved(p, 0.2), whitened(nu, 0.01 * M, R_0), LOW)
+        found.append(factors.gain)
+    assert np.mean(np.log(found[300:])) == pytest.approx(np.log(0.5), abs=0.05)
+    assert np.std(np.log(found[300:])) < 0.2
 
 
 @pytest.mark.parametrize(("before", "after"), [(0.005, 0.1), (0.1, 0.005)])
-def test_the_quick_belief_follows_a_step_from_5_to_100_mm_s(before: float, after: float) -> None:
-    """At 5 Hz up within 3 pings, down within 6 s, to 2.5 times in sigma or less."""
-    rng, late = np.random.default_rng(3), 0
+def test_a_step_from_5_to_100_mm_s_is_followed_within_three_pings(
+    before: float, after: float
+) -> None:
+    """Up and down alike, with 50 mm/s nominal, to 2.5 times in sigma or less."""
+    rng, late, known = np.random.default_rng(3), 0, 1e-6 * np.eye(3)
     for _ in range(20):
-        belief = Belief(3.0, 3.0 * before**2)
-        for _ in range(3 if after > before else 30):
-            nu = whitened(rng.normal(0.0, after, 3), 1e-8 * np.eye(3), np.eye(3))
-            belief = recursion.learned(forgotten(belief, 0.2, 1.0, 2.0), nu, *ALL)
-        late += not 1.0 / 6.25 < belief.factor / after**2 < 6.25
+        p = PRIOR
+        for sigma in [before] * 50 + [after] * 3:
+            nu = whitened(rng.normal(0.0, sigma, 3), known, 0.05**2 * np.eye(3))
+            p, factors = learned(moved(p, 0.2), nu, LOW)
+        late += not 1.0 / 2.5 < 0.05 * np.sqrt(factors.gain) / after < 2.5
     assert late <= 1
 
 

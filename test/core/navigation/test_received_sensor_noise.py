@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from insdvl.navigation.events import NS, Event, Imu, SensorNoise, refusal
-from insdvl.navigation.measurement_noise import guard
 from insdvl.navigation.measurement_noise.source import LARGEST
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import (
@@ -121,8 +120,8 @@ def test_beside_a_wrong_q_it_is_what_the_adaptive_estimate_goes_to(q_factor: flo
     m, settings = mission(20.0), parameters("adaptive", q_factor)
     events = [received(1.0, AT + k * NS) for k in range(14)]
     told = factors(settings, m, *pings(m), *events)[m.stamps_ns > AT + NS]
-    assert (told >= guard.LEAST).all() and (told <= guard.MOST).all()
-    if q_factor < 1.0:  # without the guard the innovations make it tens of times the true one
+    assert (told > 0.2).all() and (told < 4.0).all()
+    if q_factor < 1.0:  # the gain is too small, and neighbouring innovations are alike
         assert told[-1] == pytest.approx(1.0, rel=0.1)
 
 

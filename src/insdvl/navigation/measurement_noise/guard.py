@@ -20,8 +20,6 @@ MEMORY = 50
 LARGEST = 3.0
 #: The correlation speaks against the gain from this many of its own sigma on, and surely from that.
 DOUBT, SURE = 1.7, 3.4
-#: The estimate from the innovations over that from the window: at least, and at most.
-LEAST, MOST = 0.04, 4.0
 
 
 class Correlation(NamedTuple):

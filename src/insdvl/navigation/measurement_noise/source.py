@@ -1,9 +1,9 @@
 """The estimated noise of a velocity sensor, on the state record.
 
-The record holds two beliefs about the factor on the nominal covariance, one that changes slowly and
-one that changes quickly, the last pings, the squares of the window and the correlation of the
-innovations. Only a measurement that the gate takes as it is teaches: not one that is refused,
-doubted, used softly, or taken for a vehicle at rest, nor one beside an IMU that is in doubt.
+The record holds the probabilities of the levels of the factor on the nominal covariance, the last
+pings, the squares of the window and the correlation of the innovations. Only a measurement that the
+gate takes as it is teaches: not one that is refused, doubted, used softly, or taken for a vehicle
+at rest, nor one beside an IMU that is in doubt.
 """
 
 from typing import Any
@@ -16,34 +16,25 @@ from insdvl.navigation.error_state import VELOCITY
 from insdvl.navigation.events import NS, Measurement, SensorNoise
 from insdvl.navigation.geometry.earth import gravity
 from insdvl.navigation.kalman import Innovated
-from insdvl.navigation.measurement_noise import guard, recursion, window
+from insdvl.navigation.measurement_noise import guard, levels, window
 from insdvl.navigation.measurement_noise.guard import Correlation
-from insdvl.navigation.measurement_noise.recursion import Belief
+from insdvl.navigation.measurement_noise.levels import LARGEST, SMALLEST, Factors, Whitened
 from insdvl.navigation.measurements.base import Linearised, SensorModel
 from insdvl.navigation.state import COUNT, COVARIANCE, NEVER, NUMBER, STAMP, Field, State
 
 #: Sources of a sensor's noise, its parameter ``noise_source``.
 NOMINAL, LEARNED = "nominal", "learned"
 
-#: Memory of the two beliefs [s], and fewest measurements that each remembers.
-STEADY, QUICK = (6.0, 8.0), (1.0, 2.0)
-#: The steady belief becomes the quick one where that differs by this factor: the noise has changed.
-CHANGED = 2.5
-#: After so long [s] without a measurement a belief weighs no more than a prior.
+#: After so long [s] without a measurement an innovation is not compared with the one before.
 PAUSE = 10.0
-#: Largest factor on the nominal covariance; least and largest by which the gate judges.
-LARGEST, LEAST_FOR_GATE, LARGEST_FOR_GATE = 100.0, 4.0, 9.0
-#: Smallest factor, where there is no floor.
-SMALLEST = 1e-4
+#: Least and largest factor by which the gate judges.
+LEAST_FOR_GATE, LARGEST_FOR_GATE = 4.0, 9.0
 
 #: What the filter has learned itself.
 _OWN = (
     Field("factor", NUMBER),  # on the nominal covariance, in effect; 0 before there is any
-    # Beliefs, see recursion.py, and stamp of the last measurement that has taught
-    Field("steady_shape", NUMBER),
-    Field("steady_scale", NUMBER),
-    Field("quick_shape", NUMBER),
-    Field("quick_scale", NUMBER),
+    # Of the levels, see levels.py, and stamp of the last measurement that has taught
+    Field("probabilities", NUMBER, (len(levels.LEVELS),)),
     Field("learned_ns", STAMP),
     # The last pings, the newest first: velocity at the IMU, carried forward, and covariance of
     # their noise, NED; their stamps; and the velocity of the state that they were carried to
@@ -102,8 +93,7 @@ class MeasurementNoise:
         for field in _OWN:
             m[field.name] = NEVER if field.holds == STAMP else 0
         m["factor"] = 1.0
-        for name in ("steady", "quick"):
-            m[f"{name}_shape"] = m[f"{name}_scale"] = recursion.PRIOR
+        m["probabilities"] = levels.PRIOR
 
     def receive(self, s: State, event: SensorNoise) -> None:
         """A covariance takes the place of the window's factor from its stamp on."""
@@ -159,11 +149,13 @@ class MeasurementNoise:
             now: The same, as the gate has taken it.
 
         Returns:
-            The measurement with the R that is known with it.
+            The measurement with the gain that is known with it, and the R with which Joseph's form
+            also has the doubt about that gain.
         """
-        factor = self._factor(s, event, nominal, now)
-        R = self._scaled(event, nominal, factor)
-        return kalman.innovate(s["nav"]["P"], now.innovation, now.H, R)
+        of_gain, of_covariance = self._factors(s, event, nominal, now)
+        R = self._scaled(event, nominal, of_gain)
+        known = kalman.innovate(s["nav"]["P"], now.innovation, now.H, R)
+        return known._replace(R=self._scaled(event, nominal, of_covariance))
 
     def _scaled(self, event: Measurement, nominal: Linearised, factor: float) -> Array:
         """R with a factor on the measurement's own noise, where it was measured."""
@@ -177,33 +169,32 @@ class MeasurementNoise:
     def _smallest(self, R_0: Array) -> float:
         return smallest_factor(R_0, self._model.noise_floor)
 
-    def _factor(self, s: State, event: Measurement, nominal: Linearised, now: Innovated) -> float:
+    def _factors(
+        self, s: State, event: Measurement, nominal: Linearised, now: Innovated
+    ) -> Factors:
         m, stamp_ns, measured = s[self._group], event.stamp_ns, now.measured
         R_0, rows = self._model.noise(event), np.ix_(measured, measured)
         own, other = R_0[rows], (nominal.R - R_0)[rows]
         M = (now.S - now.R)[rows] + other
-        innovation = recursion.whitened(now.innovation[measured], M, own)
+        innovation = levels.whitened(now.innovation[measured], M, own)
         if innovation is None:
-            return self._expected(s, event)
+            expected = self._expected(s, event)
+            return Factors(expected, expected)
         if measured.all():
             self._compare(m, stamp_ns, now, R_0)
         low = self._smallest(R_0)
         of_window = self._received(m, stamp_ns, R_0, comparable=bool(measured.all()))
         if of_window is None:
             of_window = window.mean_factor(m["squares"], int(m["square_count"]))
-        least, most = low, LARGEST
-        if of_window is not None:
-            least = min(max(guard.LEAST * of_window, low), LARGEST)
-            most = max(min(guard.MOST * of_window, LARGEST), least)
-        of_innovations = self._believe(m, stamp_ns, innovation, least, most)
-        factor = min(max(1.0 if of_window is None else of_window, low), LARGEST)
+        found = self._believe(m, stamp_ns, innovation, low)
         told = Correlation(float(m["product"]), float(m["square"]), int(m["pairs"]))
-        if not self._learned:
-            factor = guard.between(of_innovations, factor, guard.doubt(told, int(measured.sum())))
+        doubt = 1.0 if self._learned else guard.doubt(told, int(measured.sum()))
+        of_window = min(max(1.0 if of_window is None else of_window, low), LARGEST)
+        factor = guard.between(found.gain, of_window, doubt)
         if measured.all():
             self._correlate(m, stamp_ns, now.innovation, np.diagonal(M + factor * own), told)
         m["factor"], m["learned_ns"] = factor, stamp_ns
-        return factor
+        return Factors(factor, factor * (found.covariance / found.gain) ** (1.0 - doubt))
 
     def _received(self, m: State, stamp_ns: int, R_0: Array, *, comparable: bool) -> float | None:
         """The received factor; None where none is in effect.
@@ -233,25 +224,12 @@ class MeasurementNoise:
         m["covariances"] = covariances[:0:-1]
 
     @staticmethod
-    def _believe(
-        m: State, stamp_ns: int, innovation: recursion.Whitened, least: float, most: float
-    ) -> float:
-        """Both beliefs learn from an innovation; returns the factor of the steady one."""
+    def _believe(m: State, stamp_ns: int, innovation: Whitened, low: float) -> Factors:
+        """The levels learn from an innovation."""
         since = (stamp_ns - int(m["learned_ns"])) / NS if m["learned_ns"] != NEVER else 0.0
-        beliefs = []
-        for name, memory in (("quick", QUICK), ("steady", STEADY)):
-            belief = Belief(float(m[f"{name}_shape"]), float(m[f"{name}_scale"]))
-            if since > PAUSE and belief.shape > recursion.PRIOR:
-                belief = Belief(recursion.PRIOR, recursion.PRIOR * belief.factor)
-            elif since > 0.0:
-                belief = recursion.forgotten(belief, since, *memory)
-            beliefs.append(recursion.learned(belief, innovation, least, most))
-        quick, steady = beliefs
-        if not 1.0 / CHANGED <= quick.factor / steady.factor <= CHANGED:
-            steady = quick
-        for name, belief in (("quick", quick), ("steady", steady)):
-            m[f"{name}_shape"], m[f"{name}_scale"] = belief
-        return steady.factor
+        before = levels.moved(m["probabilities"], since)
+        m["probabilities"], factors = levels.learned(before, innovation, low)
+        return factors
 
     @staticmethod
     def _correlate(
