@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from insdvl.arrays import Array
+from insdvl.arrays import Array, Stamps
 from insdvl.navigation.events import NS, Imu, refusal
 from insdvl.navigation.geometry.frames import CONVENTIONS, rotation_from_rpy, rotation_from_vector
 from insdvl.navigation.measurement_noise import window
@@ -191,7 +191,7 @@ class DvlTuner:
             self._samples.popleft()
 
     @staticmethod
-    def _rate(stamps: Array, w_ib_b: Array, at_ns: int) -> Array:
+    def _rate(stamps: Stamps, w_ib_b: Array, at_ns: int) -> Array:
         """Turn rate (3,) at a stamp within the samples (N,), (N, 3)."""
         k, rate = int(np.searchsorted(stamps, at_ns)), np.empty(3)
         seen = np.ones(len(stamps), np.bool_)
