@@ -136,11 +136,21 @@ def test_a_simulator_without_noise_gives_parameters_that_a_filter_takes(tmp_path
     assert min(noise.gyroscope_variance) >= noise.gyroscope_floor
 
 
-def test_the_noise_of_an_imu_with_a_low_pass_is_that_below_it(tmp_path: Path) -> None:
-    """Differences have a hundredth of what a filter integrates."""
-    q = np.repeat([1e-3, 1e-8], 3)
+@pytest.mark.parametrize(("rate", "corner"), [(62.5, 6.0), (100.0, 8.0), (200.0, 15.0)])
+def test_an_imu_with_a_low_pass_has_the_noise_below_it_and_accuses_nothing(
+    rate: float, corner: float, tmp_path: Path
+) -> None:
+    """A MEMS IMU, whose differences have a hundredth of what a filter integrates."""
+    mems = GRADES["mems"]
+    q = mems.variances(rate)
     mission = simulate(
-        AUV, constant(q), seed=3, duration=60.0, imu=ImuModel(bandwidth=8.0), start_ns=START_NS
+        AUV,
+        constant(q),
+        seed=77,
+        duration=150.0,
+        imu=replace(mems.imu(), rate=rate, bandwidth=corner),
+        dvl=DvlModel(rate=4.0, noise_std=(0.02,) * 3),
+        start_ns=START_NS,
     )
     path, written = save(tmp_path / "dive", raws_of(mission)), tmp_path / "my.yaml"
     assert cli.main(["init", str(path), "-o", str(written)]) == 0

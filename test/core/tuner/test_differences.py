@@ -4,8 +4,18 @@ import numpy as np
 import pytest
 
 from insdvl.parameters.declaration import ParameterError, build
+from insdvl.simulation.sensors.imu import ImuModel
 from insdvl.tuner.features.closed_form import degree_5
-from insdvl.tuner.features.differences import SIGMAS, bounded, difference_variances, relative_error
+from insdvl.tuner.features.differences import (
+    HIGHER,
+    LOWER,
+    SIGMAS,
+    bounded,
+    difference_variances,
+    is_low_passed,
+    low_pass_factor,
+    relative_error,
+)
 from insdvl.tuner.parameters import TunerParameters
 from insdvl.tuner.tuner import Tuner
 
@@ -74,3 +84,32 @@ def test_the_tuner_uses_it() -> None:
 def test_an_order_out_of_range_is_refused() -> None:
     with pytest.raises(ParameterError, match="'difference_order' must be .*<= 20, got 21"):
         build(TunerParameters, {"difference_order": 21})
+
+
+# A low-pass
+
+
+@pytest.mark.parametrize("corner", [0.05, 0.1, 0.2, 0.3])
+def test_noise_behind_a_low_pass_has_its_density_at_low_frequencies(corner):
+    """At 100 Hz, in windows of 20 s."""
+    imu = ImuModel(bandwidth=100.0 * corner)
+    samples = imu.filtered(np.random.default_rng(2).standard_normal((20_000, 6)))
+    found = []
+    for window in samples.reshape(-1, 2000, 6):
+        assert is_low_passed(*(difference_variances(window.T, k) for k in (LOWER, HIGHER)))
+        found.append(low_pass_factor(window) * difference_variances(window.T, 1).mean())
+    assert 0.7 < np.mean(found) < 1.3
+
+
+def test_white_noise_motion_and_vibration_are_no_low_pass():
+    rng, t = np.random.default_rng(2), np.arange(2000) / 100.0
+    white = rng.standard_normal((2000, 6))
+    turning = white + np.outer(300.0 * np.sin(2.0 * np.pi * 0.8 * t), [0, 0, 0, 1, 1, 1])
+    shaken = white + np.outer(5.0 * np.sin(2.0 * np.pi * 31.0 * t), np.ones(6))
+    for samples in (white, turning, shaken):
+        assert low_pass_factor(samples) == pytest.approx(1.0, abs=0.2)
+
+
+def test_a_few_samples_tell_no_low_pass():
+    samples = ImuModel(bandwidth=5.0).filtered(np.random.default_rng(2).standard_normal((300, 6)))
+    assert low_pass_factor(samples) == 1.0

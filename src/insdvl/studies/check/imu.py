@@ -18,16 +18,17 @@ from insdvl.navigation.geometry.earth import gravity
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.start.gyrocompass import Noise
 from insdvl.navigation.start.rest import LEAST_SAMPLES, Misfit, misfit_to_rest, window_of
-from insdvl.tuner.features.differences import difference_variances
+from insdvl.tuner.features.differences import (
+    HIGHER,
+    LOWER,
+    difference_variances,
+    is_low_passed,
+)
 from insdvl.tuner.models import load_model
 from insdvl.tuner.pooling import pool_of, pooled
 
 CHUNK = 1000  # samples that are looked at together
 WINDOW = 100  # samples of one estimate of the noise
-ORDER = 3  # of the differences: the motion of a vehicle within four samples is a parabola
-#: An IMU is low-passed where differences of the higher order have so much less than those of
-#: `ORDER` in all channels. White noise has 1, and behind a low-pass at 0.3 of the rate 0.4.
-HIGHER, FALLS = 6, 0.5
 #: A channel that repeats its largest reading so often in a row stands at the end of its range,
 #: where that is so far from its mean [m/s^2, rad/s]: no resolution explains it.
 STANDS, AWAY = 3, (5.0, 0.5)
@@ -124,7 +125,7 @@ class ImuLog:
         self._used += len(readings)
         windows = readings[: len(readings) // WINDOW * WINDOW].reshape(-1, WINDOW, 6)
         for window in windows:
-            self._variances.append(difference_variances(window.T, ORDER))
+            self._variances.append(difference_variances(window.T, LOWER))
             self._higher.append(difference_variances(window.T, HIGHER))
         k = pool_of(self._parameters.imu.rate)
         if len(readings) >= k * self._bands.window:
@@ -175,7 +176,7 @@ class ImuLog:
         if not self._variances:
             return np.zeros(6), False
         variance = np.median(self._variances, axis=0)
-        falls = bool((np.median(self._higher, axis=0) < FALLS * variance).all())
+        falls = is_low_passed(variance, np.median(self._higher, axis=0))
         if falls and self._chunks:
             variance = np.median(self._chunks, axis=0)
         return variance, falls

@@ -8,6 +8,7 @@ import numpy as np
 from insdvl.navigation.filter import Filter
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.studies.replay.taken import Taken
+from insdvl.tuner.features.differences import low_pass_factor
 
 #: Median of the square of a normal number, in its variance.
 _MEDIAN_SQUARE = 0.4549364231195728
@@ -61,11 +62,13 @@ def dvl_noise(taken: Taken, filter_: Filter, shown: tuple[float, float] | None) 
 def imu_variances(taken: Taken) -> tuple[float, float]:
     """Variance per sample of specific force and angular rate, by differences of samples.
 
-    Slow motion has none in the differences, but vibration has: it is a bound from above. The median
-    leaves out single bad samples; the mean is over the axes.
+    Slow motion has none in the differences, but vibration has: it is a bound from above. What a
+    low-pass in the IMU takes from them is given back. The median leaves out single bad samples; the
+    mean is over the axes.
     """
     _, readings = taken.samples
     if len(readings) < 2:
         return math.nan, math.nan
     squares = np.median(np.diff(readings, axis=0) ** 2, axis=0) / (2.0 * _MEDIAN_SQUARE)
+    squares *= low_pass_factor(readings)
     return float(squares[:3].mean()), float(squares[3:].mean())

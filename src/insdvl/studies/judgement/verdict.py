@@ -374,7 +374,7 @@ def _variances(parameters: FilterParameters, imu: tuple[float, float], *, large:
     ]
     named = [one for one in both if (one[1] < one[2]) == large] or both
     texts = [
-        f"process_noise.{name} (told {told:.2g}, differences of the samples show {shown:.2g})"
+        f"process_noise.{name} (told {told:.2g}, the samples show {shown:.2g})"
         for name, told, shown in named
     ]
     return f"{'raise' if large else 'lower'} {' and '.join(texts)}"
