@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.signal import butter, sosfilt
 
 from insdvl.navigation.events import NS
 from insdvl.simulation.drawn.scenarios import DRAWN
@@ -86,3 +87,13 @@ def test_an_imu_with_a_low_pass_has_the_noise_that_it_passes(corner, rate):
     _, variances = tuned_by_model(stamps(n, rate), imu.filtered(white(n)), MODEL, BANDS)
     ratio = np.exp(np.log(variances / Q).mean())
     assert 1.0 / 3.0 < ratio < 3.0
+
+
+@pytest.mark.parametrize("order", [1, 4, 8])
+@pytest.mark.parametrize("corner", [0.1, 0.2, 0.4])
+def test_the_order_of_the_low_pass_need_not_be_known(order, corner):
+    """The training has the second."""
+    sections = butter(order, corner, fs=1.0, output="sos")
+    noise = np.random.default_rng(9).standard_normal((20, 6, 2400))
+    windows = np.ascontiguousarray(sosfilt(sections, noise)[:, :, 400:].reshape(-1, 2000))
+    assert 1.0 / 1.5 < np.exp(np.log(MODEL.variances(windows)).mean()) < 1.5
