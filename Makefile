@@ -3,7 +3,7 @@
 # make test-all     run all tests, the long ones included, 40 minutes
 # make test-jazzy   run all tests with the library versions of ROS 2 Jazzy; needs Python 3.12
 # make test-core    run the fast tests of the core alone with those versions: no ROS, any platform
-# make results      recompute docs/results/, about an hour; ARGS="--recordings DIR --config FILE"
+# make results      recompute docs/results/, some hours on two cores; ARGS="--recordings DIR --config FILE"
 # make consistency  fly docs/results/consistency.md again, about 50 minutes on two quiet cores
 # make faults       fly the fault matrix of docs/reliability.md again, about half an hour
 # make soak         add an hour of mission to the soak there; ARGS="--hours 2"
