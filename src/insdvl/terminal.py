@@ -71,7 +71,7 @@ def say(lines: Iterable[Line], width: int, stream: TextIO) -> None:
 
     for line in lines:
         text = Text(line.text)
-        text.stylize(line.style, 0, line.text.find(":"))
+        text.stylize(line.style, 0, len(line.text.partition(":")[0]))
         if not line.label:
             console.print(text)
             continue

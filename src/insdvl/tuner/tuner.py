@@ -2,12 +2,12 @@
 
 The schedule follows from the stamps alone. Time is divided into periods of 1 / rate from stamp 0
 on; the first sample of a period closes a window, which has that sample and those before it: the
-N - 1 of the model's window, or as many as there are without a gap up to the model's history; some
-models count means of samples, see pooling.py. A
-stamp at the start of a period belongs to the period, so estimates lie on multiples of 1 / rate
-where samples do; with jitter or other phases an estimate has the stamp of the first sample after.
-The time at which the tuner started, and the speed at which samples arrive, do not matter: two
-tuners that have both seen the samples of the history give the same bits.
+N - 1 of the model's window, or as many as there are without a gap up to the model's history. Some
+models count means of samples, see pooling.py. A stamp at the start of a period belongs to the
+period, so estimates lie on multiples of 1 / rate where samples do; with jitter or other phases an
+estimate has the stamp of the first sample after. The time at which the tuner started, and the
+speed at which samples arrive, do not matter: two tuners that have both seen the samples of the
+history give the same bits.
 
 A period in which there are fewer than N samples since the last gap has no estimate.
 """

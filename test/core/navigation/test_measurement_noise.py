@@ -220,3 +220,28 @@ def test_the_doubt_moves_from_one_estimate_to_the_other() -> None:
     assert guard.between(4.0, 1.0, 0.0) == pytest.approx(4.0)
     assert guard.between(4.0, 1.0, 0.5) == pytest.approx(2.0)
     assert guard.between(4.0, 1.0, 1.0) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("known", [1e-40, 1e-9, 1.0, 1e9, 1e12, 1e20, 1e40, 1e200])
+@pytest.mark.parametrize("size", [0.0, 1.0, 1e20])
+def test_whatever_is_known_the_factors_are_within_the_levels(known: float, size: float) -> None:
+    """A message may tell a covariance that is next to nothing."""
+    nu = size * np.array([1.5, -0.5, 0.8])
+    p = PRIOR
+    for _ in range(5):
+        p, factors = learned(moved(p, 0.0), whitened(nu, known * M, R_0), LOW)
+        assert p.sum() == pytest.approx(1.0) and (p >= 0.0).all()
+        assert LEVELS[0] * (1 - 1e-9) <= factors.gain <= LEVELS[-1] * (1 + 1e-9)
+        assert np.isfinite(factors.covariance) and factors.covariance >= factors.gain
+
+
+def test_a_ratio_that_no_number_holds_teaches_nothing() -> None:
+    assert whitened(np.ones(3), M, 1e-308 * np.eye(3)) is None
+    assert whitened(np.full(3, 1e200), M, R_0) is None
+
+
+def test_what_was_thought_impossible_begins_anew() -> None:
+    sure = np.zeros(LEVELS.size)
+    sure[0] = 1.0
+    p, factors = learned(sure, whitened(np.full(3, 1e4), M, R_0), LOW)
+    assert np.isfinite(p).all() and p.sum() == pytest.approx(1.0) and factors.gain > 0.0

@@ -89,7 +89,7 @@ def test_an_order_out_of_range_is_refused() -> None:
 # A low-pass
 
 
-@pytest.mark.parametrize("corner", [0.05, 0.1, 0.2, 0.3])
+@pytest.mark.parametrize("corner", [0.1, 0.2, 0.3])
 def test_noise_behind_a_low_pass_has_its_density_at_low_frequencies(corner):
     """At 100 Hz, in windows of 20 s."""
     imu = ImuModel(bandwidth=100.0 * corner)
@@ -111,5 +111,15 @@ def test_white_noise_motion_and_vibration_are_no_low_pass():
 
 
 def test_a_few_samples_tell_no_low_pass():
-    samples = ImuModel(bandwidth=5.0).filtered(np.random.default_rng(2).standard_normal((300, 6)))
+    samples = ImuModel(bandwidth=5.0).filtered(np.random.default_rng(2).standard_normal((199, 6)))
     assert low_pass_factor(samples) == 1.0
+
+
+def test_waves_are_no_noise_behind_a_low_pass():
+    """Ten times the noise, one sigma."""
+    t = np.arange(2000) / 100.0
+    noise = 0.01 * np.random.default_rng(2).standard_normal((2000, 6))
+    waves = np.sin(2.0 * np.pi * 0.45 * t)[:, None] + np.sin(2.0 * np.pi * 0.6 * t + 1.0)[:, None]
+    samples = ImuModel(bandwidth=10.0).filtered(noise + 0.1 * waves)
+    shown = low_pass_factor(samples) * difference_variances(samples[:, :3].T, 1).mean()
+    assert 0.4 < shown / 1e-4 < 2.0

@@ -63,13 +63,18 @@ class Factors(NamedTuple):
 def whitened(innovation: Array, M: Array, R_0: Array) -> Whitened | None:
     """An innovation (m,) of noise R_0 (m, m) and other error M (m, m).
 
-    None where R_0 is not positive definite.
+    None where R_0 is not positive definite, or so small that no number holds their ratio.
     """
     try:
         L_inv = np.linalg.inv(np.linalg.cholesky(R_0))
     except np.linalg.LinAlgError:
         return None
-    known, axes = np.linalg.eigh(L_inv @ M @ L_inv.T)
+    with np.errstate(over="ignore", invalid="ignore"):
+        of_noise = L_inv @ M @ L_inv.T
+        squared = np.sum((L_inv @ innovation) ** 2)
+    if not (np.isfinite(of_noise).all() and np.isfinite(squared)):
+        return None
+    known, axes = np.linalg.eigh(of_noise)
     return Whitened(np.square(axes.T @ L_inv @ innovation), np.maximum(known, _LEAST_KNOWN))
 
 
@@ -123,14 +128,14 @@ def _learn(
         after[i] = before[i] * np.exp(after[i] - largest)
         total += after[i]
     for i in range(n):
-        after[i] /= total
+        # All that was believed may be so improbable now that nothing is left of it.
+        after[i] = after[i] / total if total > 0.0 else PRIOR[i]
     numerator, gains = 0.0, 0.0
     for j in range(m):
-        k = 0.0
         for i in range(n):
-            k += after[i] * known[j] / (known[j] + levels[i])
-        numerator += known[j] * (1.0 - k)
-        gains += k
+            k = known[j] / (known[j] + levels[i])
+            gains += after[i] * k
+            numerator += after[i] * k * levels[i]  # d (1 - k_i), without the difference
     factor, spread = numerator / gains, 0.0
     for j in range(m):
         k = known[j] / (known[j] + factor)

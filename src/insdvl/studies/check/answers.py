@@ -274,8 +274,9 @@ def _samples(seen: Inspection) -> Iterator[Finding]:
         if imu.low_passed:
             yield Finding(
                 SAMPLES,
-                "They are low-passed in the IMU: their noise falls towards half the rate. What is "
-                "told here is the noise below that. The tuner's difference_order must be 0.",
+                "Their noise falls towards half the rate in all channels: the IMU has a low-pass, "
+                "or the vehicle vibrates. What is told here is the noise at low frequencies. The "
+                "tuner's difference_order must be 0.",
             )
         settings = _noise(seen)
         if settings:

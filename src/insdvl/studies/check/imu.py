@@ -1,7 +1,8 @@
 """What the samples of an IMU show: gravity, noise, rest, and readings that are none.
 
-The noise is that of differences, which motion does not disturb. Behind a low-pass in the IMU
-differences show less than the noise that a filter integrates; there the model `bands` finds it.
+The noise is that of differences, which motion does not disturb. Behind a low-pass in the IMU they
+show less than the noise that a filter integrates, and of vibration more; there the model `bands`
+finds it.
 """
 
 from collections import Counter
@@ -26,8 +27,9 @@ from insdvl.tuner.features.differences import (
 )
 from insdvl.tuner.models import load_model
 from insdvl.tuner.pooling import pool_of, pooled
+from insdvl.tuner.windows import rate_of
 
-CHUNK = 1000  # samples that are looked at together
+CHUNK = 2000  # samples that are looked at together: a window of `bands` at any rate
 WINDOW = 100  # samples of one estimate of the noise
 #: A channel that repeats its largest reading so often in a row stands at the end of its range,
 #: where that is so far from its mean [m/s^2, rad/s]: no resolution explains it.
@@ -45,7 +47,8 @@ class ImuFacts:
         mean: (6,) mean [m/s^2, rad/s].
         largest: (6,) largest size of a reading.
         variance: (6,) of the noise of a sample; zeros with too few samples.
-        low_passed: Whether the noise falls towards half the rate, and `variance` is that below.
+        low_passed: Whether the noise falls towards half the rate, by a low-pass or by vibration;
+            `variance` is then that at low frequencies.
         stands: Channels at the end of their range, with that reading.
         saturated: Number of samples at the declared range.
         frozen: Number of samples with a frozen channel.
@@ -127,9 +130,10 @@ class ImuLog:
         for window in windows:
             self._variances.append(difference_variances(window.T, LOWER))
             self._higher.append(difference_variances(window.T, HIGHER))
-        k = pool_of(self._parameters.imu.rate)
-        if len(readings) >= k * self._bands.window:
-            self._chunks.append(pooled(self._bands.variances, k)(readings.T))
+        if len(readings) >= self._bands.window:
+            k = pool_of(rate_of(int(stamps[0]), int(stamps[-1]), len(stamps)))
+            if len(readings) >= k * self._bands.window:
+                self._chunks.append(pooled(self._bands.variances, k)(readings.T))
         for i in range(6):
             self._remember_extremes(i, readings[:, i])
 
@@ -176,10 +180,9 @@ class ImuLog:
         if not self._variances:
             return np.zeros(6), False
         variance = np.median(self._variances, axis=0)
-        falls = is_low_passed(variance, np.median(self._higher, axis=0))
-        if falls and self._chunks:
-            variance = np.median(self._chunks, axis=0)
-        return variance, falls
+        if not self._chunks or not is_low_passed(variance, np.median(self._higher, axis=0)):
+            return variance, False
+        return np.median(self._chunks, axis=0), True
 
     def _start(self, variance: Array) -> Misfit | None:
         """How far the first samples are from those of a vehicle at rest, as the filter judges."""

@@ -1,7 +1,7 @@
 """Outages of the DVL in a mission, and the errors at their ends.
 
 An outage begins with the last ping before it, so at its end the filter has navigated without the
-DVL for exactly its length, whatever the rate of the pings is. Its drift is by how much the error of
+DVL for exactly its length, if the rate of the pings has one at these times. Its drift is by how much the error of
 the position has changed meanwhile.
 """
 

@@ -100,7 +100,7 @@ def _filter(seen: Inspection) -> Iterator[Line]:
     name, grade = _grade(variance, rate)
     for k, sensor in enumerate(("accelerometer", "gyroscope")):
         values = tuple(float(f"{x:.2g}") for x in variance[3 * k : 3 * k + 3])
-        by = "below the low-pass of the IMU" if imu.low_passed else "by differences"
+        by = "at low frequencies, by the model bands" if imu.low_passed else "by differences"
         yield Line(f"process_noise.{sensor}_variance", values, by)
     for sensor in ("accelerometer", "gyroscope"):
         bias = getattr(grade, f"{sensor}_bias")

@@ -7,9 +7,9 @@ frequency. Turns of a vehicle and much of its vibration, which no polynomial fol
 window and `closed_form.degree_5` takes for noise, are suppressed; sensor noise is not. The price is
 precision: the differences are correlated with each other.
 
-Behind a low-pass in the IMU all differences have less than the noise that a filter integrates. A
-low-pass is seen by the noise, which falls towards half of the rate in all channels alike, as
-neither motion nor vibration does. Means of enough samples have the whole noise again.
+Behind a low-pass in the IMU all differences have less than the noise that a filter integrates. The
+noise then falls towards half of the rate in all channels. So does vibration that all channels have
+in common; bands of the spectrum tell the two apart.
 """
 
 from math import comb
@@ -17,16 +17,15 @@ from math import comb
 import numpy as np
 
 from insdvl.arrays import Array
+from insdvl.tuner.features.band_forms import least_band
+from insdvl.tuner.features.bands import NEAR, WINDOW
 from insdvl.tuner.features.detrend import checked
-from insdvl.tuner.pooling import means
 from insdvl.tuner.windows import Estimator
 
 #: Orders of differences that tell a low-pass: white noise has the same variance in both, and behind
 #: a low-pass at 0.3 of the rate 0.4 of it in the higher one.
 LOWER, HIGHER = 3, 6
 _FALLS = 0.9
-#: Most samples in a mean that is white again, and by how much the density of white means may grow.
-_LONGEST, _GROWS = 32, 1.3
 
 #: Margin of the bound above the variance of differences, in relative errors of white noise.
 SIGMAS = 3.0
@@ -69,31 +68,22 @@ def is_low_passed(lower: Array, higher: Array) -> bool:
 def low_pass_factor(samples: Array) -> float:
     """Noise at low frequencies over that of first differences: 1 where there is no low-pass.
 
-    The accelerometers tell it, which move less than the gyroscopes turn: by means of so many
-    samples, a power of two, that the density of the noise grows no more with their number. A
-    low-pass is the same in all channels.
+    The accelerometers tell it, which move less than the gyroscopes turn, by the least of the bands
+    that no low-pass reaches. A low-pass is the same in all channels.
 
     Args:
         samples: (N, 6) specific force and angular rate.
     """
     channels = np.ascontiguousarray(samples.T)
-    if len(samples) < 2 * _LONGEST * HIGHER or not is_low_passed(
+    if len(samples) < WINDOW or not is_low_passed(
         difference_variances(channels, LOWER), difference_variances(channels, HIGHER)
     ):
         return 1.0
-    force, m = channels[:3], 1
-    density = _density(force, m)
-    while m < _LONGEST:
-        m, before = 2 * m, density
-        density = _density(force, m)
-        if density < _GROWS * before:
-            break
-    return max(float(density / difference_variances(force, 1).mean()), 1.0)
-
-
-def _density(force: Array, m: int) -> float:
-    """Mean over the axes (3, N) of m times the variance of the noise of means of m samples."""
-    return float(m * difference_variances(means(force, m), LOWER).mean())
+    n = min(len(samples) // WINDOW * WINDOW, NEAR)
+    force = channels[:3]
+    windows = np.concatenate([force[:, k : k + n] for k in range(0, len(samples) - n + 1, n)])
+    shown = difference_variances(force, 1).mean()
+    return max(float(least_band(windows).mean() / shown), 1.0)
 
 
 def bounded(estimate: Estimator, order: int, window: int) -> Estimator:
