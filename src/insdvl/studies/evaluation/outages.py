@@ -1,8 +1,8 @@
 """Outages of the DVL in a mission, and the errors at their ends.
 
 An outage begins with the last ping before it, so at its end the filter has navigated without the
-DVL for exactly its length, if the rate of the pings has one at these times. Its drift is by how much the error of
-the position has changed meanwhile.
+DVL for exactly its length, if the rate of the pings has one at these times. Its drift is by how
+much the error of the position has changed meanwhile.
 """
 
 from collections.abc import Mapping
