@@ -17,8 +17,7 @@ from insdvl.tuner.features.differences import bounded
 from insdvl.tuner.models import Model
 from insdvl.tuner.own import HISTORY, WINDOW, OwnEstimator
 from insdvl.tuner.parameters import TunerParameters
-from insdvl.tuner.pooling import pool_of, pooled
-from insdvl.tuner.windows import CHANNELS, Estimator, period, rate_of
+from insdvl.tuner.windows import CHANNELS, Estimator, period, pool_of, pooled, rate_of
 
 Indices = NDArray[np.intp]
 
@@ -125,7 +124,7 @@ def at_windows(
         compute: Maps windows (M, N) of one channel each, and the number of their samples in a mean,
             to arrays (M, *shape).
         shape: Of the result of one window.
-        pooling: Whether `window` and `history` count means of samples, see pooling.py.
+        pooling: Whether `window` and `history` count means of samples, see windows.py.
 
     Returns:
         Stamps (K,) of the windows, and the results (K, 6, *shape).

@@ -3,7 +3,7 @@
 The schedule follows from the stamps alone. Time is divided into periods of 1 / rate from stamp 0
 on; the first sample of a period closes a window, which has that sample and those before it: the
 N - 1 of the model's window, or as many as there are without a gap up to the model's history. Some
-models count means of samples, see pooling.py. A stamp at the start of a period belongs to the
+models count means of samples, see windows.py. A stamp at the start of a period belongs to the
 period, so estimates lie on multiples of 1 / rate where samples do; with jitter or other phases an
 estimate has the stamp of the first sample after. The time at which the tuner started, and the
 speed at which samples arrive, do not matter: two tuners that have both seen the samples of the
@@ -24,8 +24,7 @@ from insdvl.tuner.features.differences import bounded
 from insdvl.tuner.models import load_model
 from insdvl.tuner.own import HISTORY, WINDOW, EstimatorError, OwnEstimator
 from insdvl.tuner.parameters import TunerParameters
-from insdvl.tuner.pooling import MOST, pool_of, pooled
-from insdvl.tuner.windows import CHANNELS, Estimator, Window, period
+from insdvl.tuner.windows import CHANNELS, MOST, Estimator, Window, period, pool_of, pooled
 
 
 @dataclass(frozen=True)

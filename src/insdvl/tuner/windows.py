@@ -1,4 +1,10 @@
-"""The last samples of an IMU without a gap, and the periods of the tuner."""
+"""The last samples of an IMU without a gap, means of them, and the periods of the tuner.
+
+A model of band powers has learned from samples at 100 Hz at which frequencies vehicles move and
+vibrate. At 400 Hz its bands would be four times as high, and its history a quarter as long. So it
+is given means of as many samples as make about 100 Hz. White noise of a variance q per sample has
+q / k in a mean of k, so what the model finds is multiplied by k.
+"""
 
 from collections import deque
 from collections.abc import Callable
@@ -12,6 +18,8 @@ from insdvl.arrays import Array
 from insdvl.navigation.events import NS
 
 CHANNELS = 6  # specific force x, y, z, angular rate x, y, z
+RATE = 100.0  # Hz, of the samples that models of band powers have learned from
+MOST = 10  # samples in a mean
 
 #: Windows (M, N) of one channel each to the variances per sample (M,) of their noise.
 Estimator = Callable[[Array], Array]
@@ -104,3 +112,21 @@ class Window:
 def rate_of(first_ns: int, last_ns: int, samples: int) -> float:
     """Rate [Hz] of a number of samples > 1 with the first and the last of these stamps."""
     return (samples - 1) * NS / (last_ns - first_ns)
+
+
+def pool_of(rate: float) -> int:
+    """Number k of samples in a mean, for an IMU of a rate [Hz]."""
+    return min(max(round(rate / RATE), 1), MOST)
+
+
+def means(windows: Array, k: int) -> Array:
+    """Means (M, N // k) of k successive samples each; the first N mod k samples are left out."""
+    if k == 1:
+        return windows
+    M, N = windows.shape
+    return np.ascontiguousarray(windows[:, N % k :].reshape(M, N // k, k).mean(axis=2))
+
+
+def pooled(estimate: Estimator, k: int) -> Estimator:
+    """An estimator of variances per sample, for windows of single samples, that sees means of k."""
+    return lambda windows: k * estimate(means(windows, k))

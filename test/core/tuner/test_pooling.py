@@ -12,8 +12,8 @@ from insdvl.simulation.trajectories import AUV
 from insdvl.tuner.models import load_model
 from insdvl.tuner.offline import tuned_by_model
 from insdvl.tuner.parameters import TunerParameters
-from insdvl.tuner.pooling import MOST, means, pool_of
 from insdvl.tuner.tuner import Tuner
+from insdvl.tuner.windows import MOST, means, pool_of
 
 MODEL = load_model("bands")
 Q = np.repeat([1e-3, 1e-8], 3)

@@ -41,6 +41,7 @@ class ImuModel:
         "alike, with its delay; below half of imu.rate. 0 means none.",
         unit="Hz",
         low=0.0,
+        high=5000.0,
     )
 
     def __post_init__(self) -> None:

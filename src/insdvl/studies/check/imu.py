@@ -26,8 +26,7 @@ from insdvl.tuner.features.differences import (
     is_low_passed,
 )
 from insdvl.tuner.models import load_model
-from insdvl.tuner.pooling import pool_of, pooled
-from insdvl.tuner.windows import rate_of
+from insdvl.tuner.windows import pool_of, pooled, rate_of
 
 CHUNK = 2000  # samples that are looked at together: a window of `bands` at any rate
 WINDOW = 100  # samples of one estimate of the noise

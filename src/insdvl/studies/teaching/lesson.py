@@ -29,7 +29,7 @@ from insdvl.tuner.features.band_groups import GROUP_FEATURE_NAMES, group_feature
 from insdvl.tuner.features.bands import HISTORY, WINDOW
 from insdvl.tuner.offline import at_windows
 from insdvl.tuner.parameters import TunerParameters
-from insdvl.tuner.pooling import means
+from insdvl.tuner.windows import means
 
 #: The filter navigates for this time [s] before a lesson begins.
 SETTLE = 20.0

@@ -46,7 +46,7 @@ class Schema:
         relative: Whether the output is log(q / scale); otherwise it is q.
         min_samples: Smallest number of samples of a window.
         history: Largest number of samples that an estimate uses, where it is not the window.
-        pooling: Whether fast IMUs are seen by means of their samples, see pooling.py.
+        pooling: Whether fast IMUs are seen by means of their samples, see windows.py.
         bounds: Maps features (M, F) to the lowest and the highest output (M,); None for none.
     """
 
