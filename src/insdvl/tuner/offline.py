@@ -133,7 +133,7 @@ def at_windows(
     pools = np.ones(closing.size, np.intp)
     if pooling:
         ends_ns = stamps_ns[closing]
-        spans = zip((stamps_ns[closing - (window - 1)]).tolist(), ends_ns.tolist(), strict=True)
+        spans = zip(stamps_ns[closing - (window - 1)].tolist(), ends_ns.tolist(), strict=True)
         pools = np.array([pool_of(rate_of(*span, window)) for span in spans], np.intp)
         enough = filled >= window * pools
         closing, filled, pools = closing[enough], filled[enough], pools[enough]

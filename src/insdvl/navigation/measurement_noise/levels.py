@@ -70,12 +70,12 @@ def whitened(innovation: Array, M: Array, R_0: Array) -> Whitened | None:
     except np.linalg.LinAlgError:
         return None
     with np.errstate(over="ignore", invalid="ignore"):
-        of_noise = L_inv @ M @ L_inv.T
-        squared = np.sum((L_inv @ innovation) ** 2)
-    if not (np.isfinite(of_noise).all() and np.isfinite(squared)):
+        of_noise, nu = L_inv @ M @ L_inv.T, L_inv @ innovation
+        is_finite = np.isfinite(of_noise).all() and np.isfinite(nu @ nu)
+    if not is_finite:
         return None
     known, axes = np.linalg.eigh(of_noise)
-    return Whitened(np.square(axes.T @ L_inv @ innovation), np.maximum(known, _LEAST_KNOWN))
+    return Whitened(np.square(axes.T @ nu), np.maximum(known, _LEAST_KNOWN))
 
 
 @kernel
