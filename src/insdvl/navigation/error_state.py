@@ -209,6 +209,17 @@ def _transition_row(w: Workspace, i: int, dt: float) -> None:
 
 
 @kernel
+def transition(s: State, w: Workspace, c: Constants, dt: float) -> None:
+    """Phi of the step that is in the workspace into ``w.Phi``; the optional states decay by it."""
+    if c.invariant:
+        earth_rate_seen(s, w)
+    dynamics(w, c)
+    discretise(w, c, dt)
+    for i in range(CORE, c.n):
+        s.nav.optional[i - CORE] *= w.Phi[i, i]
+
+
+@kernel
 def input_noise(s: State, w: Workspace, c: Constants, Q_f: Array, Q_w: Array, dt: float) -> None:
     """Q_d = G Q_c G^T dt into ``w.Q_d``, for the densities ``Q_f``, ``Q_w`` (3, 3) and the walks.
 

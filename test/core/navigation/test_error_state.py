@@ -212,9 +212,8 @@ class Case:
     def model(self, dt):
         """F and Phi of the filter for that step."""
         self.moved(self.nominal, dt)
-        error_state.earth_rate_seen(self.record(self.nominal)[0], self.workspace)  # P is zero
-        error_state.dynamics(self.workspace, self.constants)
-        error_state.discretise(self.workspace, self.constants, dt)
+        state = self.record(self.nominal)[0]  # P is zero
+        error_state.transition(state, self.workspace, self.constants, dt)
         used = slice(0, self.n)
         return self.workspace["F"][used, used].copy(), self.workspace["Phi"][used, used].copy()
 

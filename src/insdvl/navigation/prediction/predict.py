@@ -76,12 +76,7 @@ def _advance(
     if in_doubt:
         channels.add_unseen(s, w, c)
 
-    if c.invariant:
-        error_state.earth_rate_seen(s, w)
-    error_state.dynamics(w, c)
-    error_state.discretise(w, c, dt)
-    for i in range(CORE, c.n):
-        nav.optional[i - CORE] *= w.Phi[i, i]
+    error_state.transition(s, w, c, dt)
     if c.window > 0:
         w.Q_d[:] = 0.0  # the adapted density fills elements that input_noise leaves alone
     error_state.input_noise(s, w, c, w.S_f, w.S_w, dt)

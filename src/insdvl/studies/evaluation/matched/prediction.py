@@ -109,12 +109,7 @@ def _advance(
 
     for i in range(3):
         w.S_f[i, i], w.S_w[i, i] = c.density * white[i], c.density * white[3 + i]
-    if c.invariant:
-        error_state.earth_rate_seen(s, w)
-    error_state.dynamics(w, c)
-    error_state.discretise(w, c, dt)
-    for i in range(CORE, c.n):
-        nav.optional[i - CORE] *= w.Phi[i, i]
+    error_state.transition(s, w, c, dt)
     error_state.input_noise(s, w, c, w.S_f, w.S_w, dt)
     propagate(nav.P, w, c.n, channels, sigma)
     if c.invariant:
