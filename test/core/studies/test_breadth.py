@@ -23,8 +23,8 @@ def document(tmp_path_factory: pytest.TempPathFactory) -> dict:
         replace(plan, duration=155.0, rows=("best constant", "bands", "oracle"))
         for plan in breadth.plans()
         if plan.scenario == "coloured"
-        and plan.setting.imu_grade in ("fog", "mems")
-        and plan.setting.dvl_rate != 5.0
+        and plan.setting.sensors.imu_grade in ("fog", "mems")
+        and plan.setting.sensors.dvl_rate != 5.0
     ]
     planned = breadth.with_runs(short, runs=2, tuning_runs=2, seed=4)
     with pytest.MonkeyPatch.context() as patch, open_pool(Workers(jobs=1)) as pool:
@@ -53,9 +53,8 @@ def bands_of(found: dict) -> dict:
 def test_each_grade_meets_each_rate_and_outages() -> None:
     planned = breadth.plans()
     grades = {"fog", "tactical", "mems"}
-    found = {
-        (p.scenario, p.setting.imu_grade, p.setting.dvl_rate, p.setting.outage) for p in planned
-    }
+    vehicles = [(plan.scenario, plan.setting.sensors) for plan in planned]
+    found = {(name, one.imu_grade, one.dvl_rate, one.outage) for name, one in vehicles}
     assert found == {
         *product(breadth.SCENARIOS, grades, (5.0, 1.0, 0.2), (0.0,)),
         *product(breadth.SCENARIOS, grades, (1.0,), (60.0,)),

@@ -33,6 +33,7 @@ from insdvl.studies.evaluation.monte_carlo import (
     initial_of_run,
     mission_of_run,
 )
+from insdvl.studies.evaluation.sensors import Sensors
 from insdvl.studies.evaluation.tables import comparison_tables
 from insdvl.studies.results.page import pages
 
@@ -59,7 +60,8 @@ def metrics(run: Run, name: str, setting: Setting = CALIBRATED) -> dict[str, flo
     ],
 )
 def test_on_white_noise_it_is_the_oracle(scenario: str, setting: Setting, rate: float) -> None:
-    run = Run(Study(scenario, seed=40, duration=60.0, dvl_rate=rate), TEST, 0)
+    study = Study(scenario, seed=40, duration=60.0, sensors=Sensors(dvl_rate=rate))
+    run = Run(study, TEST, 0)
     oracle, matched = (run.fold(approach(name, setting)) for name in (ORACLE, MATCHED))
     assert oracle.counts["glitches"] == 0  # the navigation filter would leave samples out
     np.testing.assert_allclose(matched.track["v_n"], oracle.track["v_n"], rtol=0.0, atol=1e-9)
@@ -216,7 +218,7 @@ def within(mean: float, freedom: int) -> bool:
 def is_consistent(runs: Sequence[dict[str, float]], study: Study, duration: float) -> None:
     """NEES of the velocity, NIS, and whether the innovations are white."""
     pieces = len(runs) * round(duration / PIECE)
-    pings = len(runs) * round(duration * study.dvl_rate)
+    pings = len(runs) * round(duration * study.sensors.dvl_rate)
     mean = {name: float(np.mean([run[name] for run in runs])) for name in METRICS}
     assert within(mean["nees_velocity"], 3 * pieces), mean
     assert within(mean["nis"] / 3.0, 3 * pings), mean
@@ -224,7 +226,7 @@ def is_consistent(runs: Sequence[dict[str, float]], study: Study, duration: floa
 
 
 #: A good DVL, so that the noise of the IMU shows in the innovations.
-GOOD = Study("", seed=45, duration=120.0, dvl_std=0.02, dvl_rate=5.0)
+GOOD = Study("", seed=45, duration=120.0, sensors=Sensors(dvl_std=0.02, dvl_rate=5.0))
 
 
 def test_it_is_consistent_in_coloured_noise_and_no_worse_than_the_oracle() -> None:
@@ -283,7 +285,8 @@ def squares(runs: Sequence[dict[str, float]]) -> Array:
 
 
 def test_outliers_are_left_out() -> None:
-    run = Run(Study("coloured", seed=48, duration=60.0, outliers=0.3), TEST, 0)
+    study = Study("coloured", seed=48, duration=60.0, sensors=Sensors(outliers=0.3))
+    run = Run(study, TEST, 0)
     fold = run.fold(approach(MATCHED, CALIBRATED))
     outlier = run.mission.dvl_outlier
     assert outlier.any()

@@ -10,6 +10,7 @@ from insdvl.studies.evaluation import outages
 from insdvl.studies.evaluation.approaches import ORACLE, Setting, approach
 from insdvl.studies.evaluation.missions import TEST, Study
 from insdvl.studies.evaluation.monte_carlo import METRICS, Run, assess, failed, track
+from insdvl.studies.evaluation.sensors import Sensors
 
 
 def test_a_mission_has_as_many_outages_as_it_has_room_for():
@@ -22,7 +23,8 @@ def test_a_mission_has_as_many_outages_as_it_has_room_for():
 
 @pytest.mark.parametrize("rate", [5.0, 1.0, 0.2])
 def test_an_outage_is_between_the_last_ping_and_its_end(rate):
-    run = Run(Study("varying", seed=5, duration=160.0, dvl_rate=rate, outage=60.0), TEST, 0)
+    sensors = Sensors(dvl_rate=rate, outage=60.0)
+    run = Run(Study("varying", seed=5, duration=160.0, sensors=sensors), TEST, 0)
     pings = run.mission.dvl_stamps_ns / NS
     inside = (pings > 90.0) & (pings < 150.0 + 1e-9)
     assert not inside.any()
@@ -56,7 +58,7 @@ def test_errors_at_the_ends_by_hand():
 
 def test_a_run_with_an_outage_tells_its_errors_and_another_does_not():
     study, setting = Study("varying", seed=5, duration=160.0), Setting("calibrated")
-    with_outage = Run(replace(study, outage=60.0), TEST, 0)
+    with_outage = Run(replace(study, sensors=Sensors(outage=60.0)), TEST, 0)
     values, _ = assess(with_outage.fold(approach(ORACLE, setting)), with_outage)
     of = dict(zip(METRICS, values, strict=True))
     assert np.isfinite([of[name] for name in outages.METRICS]).all()
@@ -71,7 +73,7 @@ def test_a_run_with_an_outage_tells_its_errors_and_another_does_not():
 def test_a_filter_that_is_right_is_right_at_the_end_of_an_outage():
     """With gyroscopes that leave the tilt small; `varying` has curvature (verdict.md)."""
     study, setting = (
-        Study("bottom-tactical", seed=5, duration=155.0, outage=60.0),
+        Study("bottom-tactical", seed=5, duration=155.0, sensors=Sensors(outage=60.0)),
         Setting("calibrated"),
     )
     values = []

@@ -20,6 +20,7 @@ from insdvl.simulation.noise import constant
 from insdvl.simulation.sensors.dvl import DvlModel
 from insdvl.simulation.trajectories import BASELINE
 from insdvl.studies.evaluation.approaches import Setting
+from insdvl.studies.evaluation.sensors import Sensors
 from insdvl.studies.evaluation.taught import lessons_of
 from insdvl.studies.teaching import prior
 from insdvl.studies.teaching.fit import Bands, Constant, fit, log_likelihood
@@ -33,7 +34,7 @@ from insdvl.tuner.models import load_model
 from insdvl.tuner.parameters import TunerParameters
 
 Q = np.repeat([1e-3, 1e-8], 3)
-SPOKEN = Setting("calibrated", dvl_std=0.02).filter((1e-3, 1e-8))
+SPOKEN = Setting("calibrated", sensors=Sensors(dvl_std=0.02)).filter((1e-3, 1e-8))
 
 
 def mission(seed: int, duration: float = 120.0, dvl_rate: float = 1.0) -> Mission:

@@ -16,6 +16,7 @@ from insdvl.simulation.sensors.dvl import DvlModel
 from insdvl.simulation.trajectories import BASELINE
 from insdvl.studies.evaluation.approaches import Setting
 from insdvl.studies.evaluation.metrics import Track
+from insdvl.studies.evaluation.sensors import Sensors
 from insdvl.studies.results import withheld
 from insdvl.studies.results.recordings import Recording, Settings, stream_axes
 from insdvl.studies.results.vehicle_runs import HAND_SET
@@ -27,7 +28,7 @@ HAND_SET_Q = (1e-2, 1e-7)  # ten times the true variances
 
 @pytest.fixture(scope="module")
 def settings() -> Settings:
-    filter_ = Setting("calibrated", dvl_std=0.02).filter(HAND_SET_Q)
+    filter_ = Setting("calibrated", sensors=Sensors(dvl_std=0.02)).filter(HAND_SET_Q)
     return Settings(filter_, TunerParameters(), ReplayParameters())
 
 

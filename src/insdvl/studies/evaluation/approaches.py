@@ -5,7 +5,7 @@ chosen on seeds of their own: the best constant Q, the best innovation-adaptive 
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import product
 from typing import Any
@@ -15,9 +15,9 @@ import numpy as np
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build, flatten
 from insdvl.simulation.drawn.scenarios import DRAWN
-from insdvl.simulation.grades import GRADES
 from insdvl.simulation.initial_errors import P_0
 from insdvl.simulation.trajectories import AUV
+from insdvl.studies.evaluation.sensors import Sensors
 from insdvl.tuner.features.band_forms import least_band, median_of_spectrum, single_band
 from insdvl.tuner.features.bands import NEAR
 from insdvl.tuner.features.closed_form import degree_5
@@ -172,24 +172,15 @@ class Setting:
         preset: Key of `PRESETS`.
         error_state: ``invariant`` or ``ned``; empty selects that of the preset.
         gate: Whether the chi-square gate is on.
-        dvl_std: Noise of each component of a ping on the DVL's data sheet, one sigma [m/s].
-        dvl_rate: Pings per second.
-        outliers: Probability that a ping is off by 1 m/s.
         q_factor: Of the rows of `R_SOURCES`, on the variances that they are told.
-        imu_grade: Key of `GRADES`, of the IMU of a scenario of `DRAWN`; empty for that of the
-            scenario. The filter knows its turn-on biases, which do not walk.
-        outage: Length of the outages of the DVL [s], see `outages`; 0 for none.
+        sensors: Of the vehicle.
     """
 
     preset: str
     error_state: str = ""
     gate: bool = False
-    dvl_std: float = 0.1
-    dvl_rate: float = 1.0
-    outliers: float = 0.0
     q_factor: float = 1.0
-    imu_grade: str = ""
-    outage: float = 0.0
+    sensors: Sensors = field(default_factory=Sensors)
 
     def filter(self, variances: Sequence[float] = FIRST, **values: Any) -> FilterParameters:
         """Parameters of a filter.
@@ -207,14 +198,14 @@ class Setting:
             "initial.mode": "set_odometry",
             "gate.enabled": self.gate,
             "dvl.covariance": "message",
-            "dvl.noise_std": (self.dvl_std,) * 3,
+            "dvl.noise_std": (self.sensors.dvl_std,) * 3,
             "process_noise.accelerometer_variance": (float(variances[0]),) * 3,
             "process_noise.gyroscope_variance": (float(variances[1]),) * 3,
         }
         if self.error_state:
             given["error_state"] = self.error_state
-        if self.imu_grade:
-            grade = GRADES[self.imu_grade]
+        grade = self.sensors.grade
+        if grade is not None:
             given |= {
                 "initial.accelerometer_bias_std": grade.accelerometer_bias,
                 "initial.gyroscope_bias_std": grade.gyroscope_bias,
@@ -273,9 +264,8 @@ def constants(
     For an IMU of a grade the decades are those of the scenario times the factors of the grade.
     """
     if around is None:
-        of_f, of_w = (1.0, 1.0)
-        if setting.imu_grade:
-            of_f, of_w = GRADES[setting.imu_grade].scale()
+        grade = setting.sensors.grade
+        of_f, of_w = (1.0, 1.0) if grade is None else grade.scale()
         decades = _W_DECADES_DRAWN if scenario in DRAWN else _W_DECADES
         grid = product([f * of_f for f in _F_DECADES], [w * of_w for w in decades])
     else:

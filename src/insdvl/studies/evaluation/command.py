@@ -2,7 +2,6 @@
 
 import argparse
 import sys
-from dataclasses import asdict
 from pathlib import Path
 
 from insdvl.files import check_writable, json_text, write
@@ -20,6 +19,7 @@ from insdvl.studies.evaluation.approaches import (
     fingerprint,
 )
 from insdvl.studies.evaluation.comparison import Plan, compare
+from insdvl.studies.evaluation.sensors import Sensors
 from insdvl.tuner.models import load_model
 from insdvl.tuner.own import OwnEstimator
 
@@ -32,7 +32,7 @@ def run(arguments: argparse.Namespace) -> int:
         with open_pool(workers_from(arguments)) as pool:
             store = Store(
                 arguments.json.with_name(arguments.json.name + ".work"),
-                {"plan": asdict(plan), "models": fingerprint(plan.rows)},
+                {"plan": plan.document(), "models": fingerprint(plan.rows)},
                 Path(comparison.__file__),
             )
             compared = compare(plan, pool, store)
@@ -94,12 +94,14 @@ def _plan(arguments: argparse.Namespace) -> Plan:
             arguments.preset,
             arguments.error_state,
             arguments.gate,
-            arguments.dvl_std,
-            arguments.dvl_rate,
-            arguments.outliers,
             arguments.q_factor,
-            arguments.imu_grade,
-            arguments.outage,
+            Sensors(
+                arguments.dvl_std,
+                arguments.dvl_rate,
+                arguments.outliers,
+                arguments.imu_grade,
+                arguments.outage,
+            ),
         ),
         runs=arguments.runs,
         tuning_runs=arguments.tuning_runs,

@@ -71,18 +71,24 @@ class Plan:
     @property
     def vehicle(self) -> str:
         """The scenario, and what of the sensors differs from that of most tables."""
-        setting, parts = self.setting, [self.scenario]
-        if setting.imu_grade:
-            parts.append(setting.imu_grade)
-        if setting.dvl_rate != 1.0:
-            parts.append(f"{setting.dvl_rate:g} Hz")
+        sensors, parts = self.setting.sensors, [self.scenario]
+        if sensors.imu_grade:
+            parts.append(sensors.imu_grade)
+        if sensors.dvl_rate != 1.0:
+            parts.append(f"{sensors.dvl_rate:g} Hz")
         return ", ".join(parts)
 
     @property
     def label(self) -> str:
         """The vehicle, and its outages."""
-        outage = self.setting.outage
+        outage = self.setting.sensors.outage
         return f"{self.vehicle}, outages of {outage:g} s" if outage else self.vehicle
+
+    def document(self) -> dict[str, Any]:
+        """The plan as JSON, where the sensors are among the other settings."""
+        found = asdict(self)
+        found["setting"] |= found["setting"].pop("sensors")
+        return found
 
 
 @dataclass(frozen=True)
@@ -102,17 +108,7 @@ def compare(plan: Plan, pool: Pool, store: Store | None = None) -> Comparison:
     """Do the searches, fold all runs and summarise them."""
     omitted = unavailable(plan.rows)
     rows = [row for row in plan.rows if row not in omitted]
-    setting = plan.setting
-    study = Study(
-        plan.scenario,
-        plan.seed,
-        plan.duration,
-        dvl_std=setting.dvl_std,
-        dvl_rate=setting.dvl_rate,
-        outliers=setting.outliers,
-        imu_grade=setting.imu_grade,
-        outage=setting.outage,
-    )
+    study = Study(plan.scenario, plan.seed, plan.duration, plan.setting.sensors)
     approaches, searches = _approaches(rows, plan, study, pool, store)
 
     results = pool.compute(
@@ -131,7 +127,7 @@ def compare(plan: Plan, pool: Pool, store: Store | None = None) -> Comparison:
             scores[name] = np.array([result["floors"][i] for result in results])
     scores = {row: scores[row] for row in rows}
     document = {
-        "plan": asdict(plan) | {"rows": rows},
+        "plan": plan.document() | {"rows": rows},
         "omitted": omitted,
         "searches": searches,
         **summary(scores, np.random.default_rng(_stream(plan.seed))),
@@ -158,13 +154,14 @@ def _approaches(
     found: dict[str, Approach] = {}
     searches: dict[str, Any] = {}
     setting = plan.setting
+    searched = replace(study, sensors=replace(study.sensors, outage=0.0))
 
     def mean_errors(candidates: Sequence[Approach], stage: str) -> Array:
         """Mean errors (A, 2) of the candidates: RMSE of the body velocity, SRMSE."""
         results = pool.compute(
             tuning_run,
             numbered(plan.tuning_runs),
-            shared=(replace(study, outage=0.0), tuple(candidates)),
+            shared=(searched, tuple(candidates)),
             store=store,
             label=f"{plan.vehicle}: {stage}",
         )

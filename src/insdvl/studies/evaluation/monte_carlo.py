@@ -183,11 +183,11 @@ class Run:
             model = taught_model(
                 lessons_of(
                     study.noise,
-                    replace(study.dvl, outages=()),
+                    study.sensors.dvl,
                     approach.parameters,
                     vehicle=stream_of_run(study, split, number),
                     seed=np.random.SeedSequence(study.seed, spawn_key=(_TEACHING, split, number)),
-                    imu=study.imu,
+                    imu=study.sensors.imu,
                 )
             )
             return self.learned(model.variances, model.window, model.history, RATE)

@@ -23,6 +23,7 @@ from insdvl.studies.evaluation.approaches import (
     Setting,
 )
 from insdvl.studies.evaluation.comparison import Plan, compare
+from insdvl.studies.evaluation.sensors import Sensors
 from insdvl.studies.report.markdown import interval, number, table
 
 SCENARIOS = ("vibrating", "coloured", "waves", "realistic")
@@ -52,8 +53,9 @@ def plans() -> list[Plan]:
     found = []
     for scenario, grade in product(SCENARIOS, GRADES):
         lengths = LENGTHS if scenario == SCENARIOS[-1] else (LENGTH,)
-        settings = [Setting("calibrated", dvl_rate=rate, imu_grade=grade) for rate in RATES]
-        settings += [Setting("calibrated", outage=length, imu_grade=grade) for length in lengths]
+        vehicles = [Sensors(dvl_rate=rate, imu_grade=grade) for rate in RATES]
+        vehicles += [Sensors(outage=length, imu_grade=grade) for length in lengths]
+        settings = [Setting("calibrated", sensors=sensors) for sensors in vehicles]
         found += [Plan(scenario, setting, RUNS, rows=rows_of(scenario)) for setting in settings]
     return found
 

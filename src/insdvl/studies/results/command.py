@@ -7,7 +7,7 @@ computed keeps its file, so the pages can be written without the recordings or a
 import argparse
 import sys
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -135,7 +135,7 @@ def _compute(part: str, arguments: argparse.Namespace, folder: Path, pool: Pool)
             seed=seed,
         )
         source = Path(comparison.__file__)
-        store = Store(work, {"plan": asdict(plan), "models": models}, source)
+        store = Store(work, {"plan": plan.document(), "models": models}, source)
         compared = compare(plan, pool, store)
         document = compared.document
         drawn = {row: compared.series[row] for row in _DRAWN if row in compared.series}
@@ -145,7 +145,9 @@ def _compute(part: str, arguments: argparse.Namespace, folder: Path, pool: Pool)
         runs = {"runs": arguments.runs, "tuning_runs": arguments.tuning_runs, "seed": seed}
         plans = breadth.with_runs(breadth.plans(), **runs)
         source = Path(breadth.__file__)
-        store = Store(work, {"plans": [asdict(plan) for plan in plans], "models": models}, source)
+        store = Store(
+            work, {"plans": [plan.document() for plan in plans], "models": models}, source
+        )
         document = breadth.study_breadth(plans, pool, store)
     elif part in _OF_RECORDINGS:
         settings = recordings.Settings.load(arguments.config)
