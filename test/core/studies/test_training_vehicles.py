@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from sklearn.ensemble import HistGradientBoostingRegressor
+from sklearn.metrics import mean_gamma_deviance
 
 from insdvl import cli
 from insdvl.jobs.options import Workers
@@ -10,6 +11,7 @@ from insdvl.jobs.pool import open_pool
 from insdvl.studies.training import bands, vehicles
 from insdvl.studies.training.vehicles import KINDS, PARTS, Recipe, Vehicles
 from insdvl.tuner.features.band_features import BAND_FEATURE_NAMES
+from insdvl.tuner.forest import Forest
 from insdvl.tuner.models import load_model
 
 TINY = Recipe("bands", seed=5, vehicles=1, duration=6.0)
@@ -60,10 +62,32 @@ def test_parts_share_no_vehicle():
 def test_boosted_trees_are_a_mean_of_trees():
     rng = np.random.default_rng(1)
     X = rng.standard_normal((300, 4)).astype(np.float32)
-    y = X[:, 0] + np.abs(X[:, 1])
-    ensemble = HistGradientBoostingRegressor(max_iter=7, random_state=3).fit(X, y - 2.0)
+    sigma = np.exp(X[:, 0] + np.abs(X[:, 1]) - 2.0)
+    ensemble = HistGradientBoostingRegressor(loss="gamma", max_iter=7, random_state=3)
+    expected = ensemble.fit(X, sigma).predict(X)
     forest = bands.of_boosted(ensemble)
-    np.testing.assert_allclose(forest.predict(X), ensemble.predict(X), rtol=1e-12)
+    np.testing.assert_allclose(np.exp(forest.predict(X)), expected**2, rtol=1e-12)
+
+
+def test_what_the_features_do_not_tell_is_averaged_as_standard_deviation():
+    """Half of the vehicles have 100 times the variance of the others."""
+    rng = np.random.default_rng(2)
+    X = rng.standard_normal((4000, 3))
+    sigma = np.where(np.arange(len(X)) % 2, 1.0, 10.0)
+    arrays = bands._fit((X, np.log(sigma**2), 0), bands.BOOSTED)
+    found = np.exp(Forest(arrays).predict(X))
+    # The mean of logarithms would be 10, that of variances 50.
+    assert 0.85 * 5.5**2 < np.median(found) < 1.15 * 5.5**2
+
+
+def test_deviance_is_zero_for_the_truth_and_least_at_the_mean():
+    assert bands.deviance(np.zeros(3)) == 0.0
+    q = np.array([1.0, 4.0, 7.0])
+    for m in (3.9, 4.1):
+        assert bands.deviance(np.log(4.0 / q)) < bands.deviance(np.log(m / q))
+    np.testing.assert_allclose(
+        bands.deviance(np.log(5.0 / q)), mean_gamma_deviance(q, np.full(3, 5.0))
+    )
 
 
 def test_the_command_writes_a_model_that_a_tuner_can_use(tmp_path, monkeypatch, capsys):
@@ -74,7 +98,7 @@ def test_the_command_writes_a_model_that_a_tuner_can_use(tmp_path, monkeypatch, 
     model = load_model(str(tmp_path / "bands.npz"))
     assert (model.window, model.history) == (200, 2000)
     assert model.card["data_set"]["examples"] == 60 * 6
-    chosen, errors = (model.card["ensemble"][k] for k in ("chosen", "validation_rms_log_q"))
+    chosen, errors = (model.card["ensemble"][k] for k in ("chosen", "validation_deviance"))
     assert errors[chosen] == min(errors.values())
     white = np.random.default_rng(0).standard_normal((48, 600))
     np.testing.assert_allclose(

@@ -20,6 +20,7 @@ from insdvl.studies.evaluation import comparison
 from insdvl.studies.evaluation.approaches import (
     BANDS,
     BEST_CONSTANT,
+    BEST_XI,
     CLOSED_FORM,
     FIRST_CONSTANT,
     LEARNED,
@@ -54,7 +55,7 @@ _FEW = (FIRST_CONSTANT, "hcf default", BEST_CONSTANT, CLOSED_FORM, ORACLE)
 #: Rows of the tables on noise that is not white.
 _OF_SPECTRUM = (
     *(BANDS, CLOSED_FORM, SINGLE_BAND, LEAST_BAND, MEDIAN_OF_SPECTRUM),
-    *(VARIATIONAL, *SAGE_HUSA, BEST_CONSTANT, ORACLE, MATCHED),
+    *(BEST_XI, VARIATIONAL, *SAGE_HUSA, BEST_CONSTANT, ORACLE, MATCHED),
 )
 #: Rows of the tables on white noise, of which `MATCHED` knows no more than the oracle.
 _OF_WHITE = tuple(row for row in ROWS if row != MATCHED)

@@ -166,7 +166,8 @@ The filter of this project on vehicles that vibrate, pitch in waves or have colo
 noise. `bands` is the model that was learned from the spectra of simulated vehicles
 ([learned-bands.md](../explanation/learned-bands.md)), `single band`, `least band` and `median of
 spectrum` are closed forms of the same spectra, `closed form` is the variance around a polynomial.
-*Adaptive* filters use the innovations: by variational Bayes, and by the recursions of Sage and Husa
+*Adaptive* filters use the innovations: by their mean over the best window, in the coordinates of
+the invariant error state (`best xi`), by variational Bayes, and by the recursions of Sage and Husa
 for Q, or for Q and R ([filter.md](../explanation/filter.md)). The oracle receives the effective
 variances. White noise is what `default` was trained on ([calibrated.md](calibrated.md)). `bands`
 does not take for granted that noise is white: it knows less of white noise than `default` does.
