@@ -53,6 +53,7 @@ R_ROWS = (
     "R learned received",
     "R oracle",
     "bands with R adaptive",
+    "bands with R adaptive and DVL error",
 )
 ERROR_STATES = ("invariant", "ned")
 MIN_DURATION, DURATION = 10, 330  # s

@@ -109,9 +109,10 @@ ROWS = (
     PERFECT_HEADING,
 )
 #: Rows that differ in the noise of the DVL alone, by its source; they are told the effective Q, but
-#: for the one whose Q and R are both learned.
+#: for the two whose Q and R are both learned. The last of them has states for the DVL's slow error.
 R_NOMINAL, R_ORACLE = "R nominal", "R oracle"
 BANDS_WITH_R = "bands with R adaptive"
+BANDS_WITH_ERROR = "bands with R adaptive and DVL error"
 R_SOURCES = {
     R_NOMINAL: "nominal",
     "R adaptive": "adaptive",
@@ -120,7 +121,11 @@ R_SOURCES = {
     "R learned received": "learned",
     R_ORACLE: "nominal",
     BANDS_WITH_R: "adaptive",
+    BANDS_WITH_ERROR: "adaptive",
 }
+#: Slow error of the DVL of that row: sigma over that of the data sheet's white noise, and time
+#: constant [s]. It is the middle of what `realistic` draws for a vehicle.
+_SLOW_ERROR, _SLOW_ERROR_TIME = 0.3, 12.0
 #: Those of them that also receive what the tuner learns from the pings.
 R_RECEIVED = ("R adaptive received", "R learned received")
 #: Rows that need no filter of their own: they follow from the truth and the result of the oracle.
@@ -229,8 +234,15 @@ def approach(name: str, setting: Setting) -> Approach:
     if name in R_SOURCES:
         parameters = setting.filter(source="oracle")
         dvl = replace(parameters.dvl, noise_source=R_SOURCES[name])
+        if name == BANDS_WITH_ERROR:
+            dvl = replace(
+                dvl,
+                bias_model="gauss_markov",
+                bias_std=(_SLOW_ERROR * setting.sensors.dvl_std,) * 3,
+                bias_time_constant=_SLOW_ERROR_TIME,
+            )
         parameters = replace(parameters, dvl=dvl)
-        source = BANDS if name == BANDS_WITH_R else ORACLE
+        source = BANDS if name in (BANDS_WITH_R, BANDS_WITH_ERROR) else ORACLE
         received = name in R_RECEIVED
         return Approach(name, parameters, source, name == R_ORACLE, setting.q_factor, received)
     source = "oracle" if name == ORACLE else "external"

@@ -19,6 +19,8 @@ from insdvl.simulation.noise import SCENARIOS
 from insdvl.studies.evaluation import comparison
 from insdvl.studies.evaluation.approaches import (
     BANDS,
+    BANDS_WITH_ERROR,
+    BANDS_WITH_R,
     BEST_CONSTANT,
     BEST_XI,
     CLOSED_FORM,
@@ -54,9 +56,11 @@ from insdvl.tuner.models import load_model
 _FEW = (FIRST_CONSTANT, "hcf default", BEST_CONSTANT, CLOSED_FORM, ORACLE)
 #: Rows of the tables on noise that is not white.
 _OF_SPECTRUM = (
-    *(BANDS, CLOSED_FORM, SINGLE_BAND, LEAST_BAND, MEDIAN_OF_SPECTRUM),
-    *(BEST_XI, VARIATIONAL, *SAGE_HUSA, BEST_CONSTANT, ORACLE, MATCHED),
+    *(BEST_XI, VARIATIONAL, *SAGE_HUSA, BANDS, BEST_CONSTANT),
+    *(CLOSED_FORM, SINGLE_BAND, LEAST_BAND, MEDIAN_OF_SPECTRUM, ORACLE, MATCHED),
 )
+#: Further ones where R is not that of the data sheet.
+_WITH_R = (BANDS_WITH_R, BANDS_WITH_ERROR)
 #: Rows of the tables on white noise, of which `MATCHED` knows no more than the oracle.
 _OF_WHITE = tuple(row for row in ROWS if row != MATCHED)
 #: Rows of the plots over time.
@@ -74,7 +78,9 @@ PLANS: Mapping[str, Plan] = {
     "varying-gate": Plan("varying", Setting("calibrated", gate=True), rows=_FEW),
     **{
         f"{scenario}-spectrum": Plan(
-            scenario, Setting("calibrated"), rows=tuple(row for row in ROWS if row in _OF_SPECTRUM)
+            scenario,
+            Setting("calibrated"),
+            rows=(*_OF_SPECTRUM, *(_WITH_R if scenario == "realistic" else ())),
         )
         for scenario in page.SPECTRUM
     },

@@ -168,9 +168,12 @@ noise. `bands` is the model that was learned from the spectra of simulated vehic
 spectrum` are closed forms of the same spectra, `closed form` is the variance around a polynomial.
 *Adaptive* filters use the innovations: by their mean over the best window, in the coordinates of
 the invariant error state (`best xi`), by variational Bayes, and by the recursions of Sage and Husa
-for Q, or for Q and R ([filter.md](../explanation/filter.md)). The oracle receives the effective
-variances. White noise is what `default` was trained on ([calibrated.md](calibrated.md)). `bands`
-does not take for granted that noise is white: it knows less of white noise than `default` does.
+for Q, or for Q and R ([filter.md](../explanation/filter.md)). In `realistic` there are rows that
+also learn R ([measurement-noise.md](../explanation/measurement-noise.md)), the second with states
+for the slow error of the DVL (sigma 0.3 of that of the data sheet, 12 s). The oracle receives the
+effective variances. White noise is what `default` was trained on ([calibrated.md](calibrated.md)).
+`bands` does not take for granted that noise is white: it knows less of white noise than `default`
+does.
 """,
         [
             "## Targets\n\nSet before the measurement. The upper end of an interval has to meet "
