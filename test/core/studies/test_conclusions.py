@@ -92,6 +92,9 @@ ANSWERS = {
         spectrum("coloured", "bands"),
         spectrum("realistic", "bands"),
     ),
+    "or N where the noise of the DVL is learned as well": lambda: (
+        spectrum("realistic", "bands with R adaptive"),
+    ),
     "is worse than the best constant in all four, by up to N %": lambda: (
         100.0 * (spectrum("waves", "closed form") - 1.0),
     ),
