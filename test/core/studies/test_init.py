@@ -19,6 +19,7 @@ from insdvl.parameters.declaration import flatten
 from insdvl.parameters.sections import load_section
 from insdvl.recordings.base import encode, new_message
 from insdvl.recordings.parameters import ReplayParameters
+from insdvl.simulation.drawn.scenarios import DRAWN
 from insdvl.simulation.grades import GRADES
 from insdvl.simulation.mission import simulate
 from insdvl.simulation.motion import Channel, Wave
@@ -160,6 +161,27 @@ def test_an_imu_with_a_low_pass_has_the_noise_below_it_and_accuses_nothing(
     noise = load_section(written, "insdvl_filter", FilterParameters).process_noise
     found = np.array([*noise.accelerometer_variance, *noise.gyroscope_variance])
     assert (found > q / 4.0).all() and (found < 4.0 * q).all()
+
+
+@pytest.mark.parametrize(("rate", "seed"), [(100.0, 1), (100.0, 3), (200.0, 3)])
+def test_vibration_is_no_reason_to_believe_a_dvl_more(
+    rate: float, seed: int, tmp_path: Path
+) -> None:
+    """It is in the pings as in the samples, and no noise of the IMU that would explain theirs."""
+    fog = GRADES["fog"]
+    mission = simulate(
+        AUV,
+        fog.of_scenario(DRAWN["vibrating"], rate),
+        seed=seed,
+        duration=160.0,
+        imu=fog.imu(rate),
+        dvl=DvlModel(noise_std=(0.02,) * 3),
+        start_ns=START_NS,
+    )
+    path, written = save(tmp_path / "dive", raws_of(mission)), tmp_path / "my.yaml"
+    assert cli.main(["init", str(path), "-o", str(written)]) == 0
+    parameters = load_section(written, "insdvl_filter", FilterParameters)
+    assert 0.017 < parameters.dvl.noise_std[0] < 0.025
 
 
 @pytest.mark.long
