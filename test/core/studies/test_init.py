@@ -18,6 +18,7 @@ from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import flatten
 from insdvl.parameters.sections import load_section
 from insdvl.recordings.base import encode, new_message
+from insdvl.recordings.messages import twist_message
 from insdvl.recordings.parameters import ReplayParameters
 from insdvl.simulation.drawn.scenarios import DRAWN
 from insdvl.simulation.grades import GRADES
@@ -97,6 +98,21 @@ def test_what_else_is_in_the_recording_is_set(tmp_path: Path) -> None:
     assert parameters.origin.latitude_deg == 59.91
     assert parameters.depth.topic == "ctd/pressure"
     assert "59.91   " in (tmp_path / "my.yaml").read_text()
+
+
+def test_the_noise_of_a_speed_along_one_axis_is_that_of_its_scatter(tmp_path: Path) -> None:
+    mission = flown(SECONDS)
+    R = np.diag([0.0, np.inf, np.inf])
+    speeds = zip(mission.dvl_stamps_ns.tolist(), mission.v_d[:, 0], strict=True)
+    raws = [raw for raw in raws_of(mission) if raw.topic != "/dvl"]
+    for stamp_ns, v in speeds:
+        raws.append(encode("/dvl", stamp_ns, twist_message(stamp_ns, "dvl", [v, 0.0, 0.0], R)))
+    bag = save(tmp_path / "dive", sorted(raws, key=lambda raw: raw.time_ns))
+    assert cli.main(["check", str(bag), "--json", str(tmp_path / "seen.json")]) == 0
+    assert json.loads((tmp_path / "seen.json").read_text())["dvl"]["scatter"][1:] == [None, None]
+    assert cli.main(["init", str(bag), "-o", str(tmp_path / "my.yaml")]) == 0
+    sigma = load_section(tmp_path / "my.yaml", "insdvl_filter", FilterParameters).dvl.noise_std
+    assert 0.01 < sigma[0] < 0.04
 
 
 def test_an_existing_file_is_left_alone(

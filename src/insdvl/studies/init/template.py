@@ -123,8 +123,8 @@ def _dvl_noise(seen: Inspection) -> Line:
     scatter = seen.dvl.scatter if seen.dvl is not None else None
     if seen.ping_noise is not None:
         shown, by = seen.ping_noise[0], "from ping to ping"
-    elif scatter is not None and scatter.any():
-        shown, by = float(np.sqrt(np.mean(scatter**2))), "by their scatter"
+    elif scatter is not None and np.nansum(scatter) > 0.0:
+        shown, by = float(np.sqrt(np.nanmean(scatter**2))), "by their scatter"
     else:
         return Line(name, told.noise_std, f"{CHECK}: m/s, by its data sheet")
     sigma = max(float(f"{shown:.2g}"), told.noise_floor, _LEAST_SCATTER)
