@@ -179,6 +179,24 @@ def test_an_imu_with_a_low_pass_has_the_noise_below_it_and_accuses_nothing(
     assert (found > q / 4.0).all() and (found < 4.0 * q).all()
 
 
+@pytest.mark.parametrize("frequency", [17.0, 39.6, 45.0])
+def test_vibration_is_no_noise_of_a_sample(frequency: float, tmp_path: Path) -> None:
+    """A hundred times as strong; at 39.6 Hz differences of all orders show the same."""
+    mission = flown(60.0)
+    noise = np.sqrt(GRADES["tactical"].variances())
+    t = (mission.stamps_ns - START_NS) / NS
+    shaken = np.sin(2.0 * np.pi * frequency * t)[:, None] * 10.0 * np.sqrt(2.0) * noise
+    raws = raws_of(
+        replace(mission, f_b=mission.f_b + shaken[:, :3], w_ib_b=mission.w_ib_b + shaken[:, 3:])
+    )
+    path, written = save(tmp_path / "dive", raws), tmp_path / "my.yaml"
+    assert cli.main(["init", str(path), "-o", str(written)]) == 0
+    told = load_section(written, "insdvl_filter", FilterParameters).process_noise
+    found = np.array([*told.accelerometer_variance, *told.gyroscope_variance])
+    assert (found > noise**2 / 10.0).all() and (found < 10.0 * noise**2).all()
+    assert "at low frequencies" in written.read_text()
+
+
 @pytest.mark.parametrize(("rate", "seed"), [(100.0, 1), (100.0, 3), (200.0, 3)])
 def test_vibration_is_no_reason_to_believe_a_dvl_more(
     rate: float, seed: int, tmp_path: Path

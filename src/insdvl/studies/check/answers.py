@@ -278,6 +278,12 @@ def _samples(seen: Inspection) -> Iterator[Finding]:
                 "or the vehicle vibrates. What is told here is the noise at low frequencies. The "
                 "tuner's difference_order must be 0.",
             )
+        elif imu.shaken:
+            yield Finding(
+                SAMPLES,
+                "Neighbouring samples differ by more than that: the vehicle vibrates. What is told "
+                "here is the noise at low frequencies.",
+            )
         settings = _noise(seen)
         if settings:
             yield _setting(
