@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from insdvl.arrays import Array
 from insdvl.navigation.coordinates import body_velocity_jacobian
 from insdvl.navigation.error_state import ATTITUDE, GYROSCOPE_BIAS, VELOCITY
-from insdvl.navigation.events import NS, Event, Imu, Initial, Orientation
+from insdvl.navigation.events import NS, Event, Imu, Initial, Orientation, ProcessNoise
 from insdvl.navigation.filter import Filter
 from insdvl.navigation.geometry.earth import EARTH_RATE, gravity
 from insdvl.navigation.geometry.frames import rotation_from_rpy
@@ -284,6 +284,36 @@ def test_a_float_that_rocks_has_no_heading() -> None:
     rocked(stamps_ns, f_b, w_ib_b, after=0.0)
     s = first_of(fold_arrays(settings(FOG), stamps_ns, f_b, w_ib_b, []))
     assert s["start"]["heading_from"] == automatic.UNKNOWN
+
+
+def learned(stamps_ns: np.ndarray, grade: Grade, factor: float) -> list[Event]:
+    """Each second a Q that is a factor of the variance of the samples."""
+    q = factor * grade.variances(float(RATE))
+    return [ProcessNoise(int(ns), np.diag(q[:3]), np.diag(q[3:])) for ns in stamps_ns[::RATE]]
+
+
+@pytest.mark.parametrize("factor", [0.3, 1.0, 2.0])
+@pytest.mark.parametrize("mode", ["auto", "gyrocompassing"])
+def test_a_learned_noise_that_is_a_factor_off_hides_no_rest(mode: str, factor: float) -> None:
+    """What a filter integrates is no variance of samples, and known to a factor only."""
+    stamps_ns, f_b, w_ib_b, _ = at_rest(FOG, 62.0)
+    parameters = settings(FOG, **{"process_noise.source": "external", "initial.mode": mode})
+    events = pings(stamps_ns, (0.0,) * 3) + learned(stamps_ns, FOG, factor)
+    s = first_of(fold_arrays(parameters, stamps_ns, f_b, w_ib_b, events))
+    assert s["start"]["compass"] == gyrocompass.FOUND
+    sigma = sigmas(s, ATTITUDE)[2]
+    assert np.radians(0.05) < sigma < np.radians(0.3)
+    assert abs(error_of(s, rotation_from_rpy(np.array(RPY)))[2]) < 3.0 * sigma
+
+
+@pytest.mark.parametrize("factor", [0.3, 1.0, 2.0])
+def test_a_learned_noise_makes_no_rest_of_a_float_that_rocks(factor: float) -> None:
+    stamps_ns, f_b, w_ib_b, _ = at_rest(FOG, 3.0)
+    rocked(stamps_ns, f_b, w_ib_b, after=0.0)
+    parameters = settings(FOG, **{"process_noise.source": "external"})
+    s = first_of(fold_arrays(parameters, stamps_ns, f_b, w_ib_b, learned(stamps_ns, FOG, factor)))
+    assert s["start"]["heading_from"] == automatic.UNKNOWN
+    assert not s["start"]["at_rest"]
 
 
 def orientations(stamps_ns: np.ndarray, std: float) -> list[Event]:

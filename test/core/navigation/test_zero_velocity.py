@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from insdvl.navigation.events import NS, Event, Initial
+from insdvl.navigation.events import NS, Event, Initial, ProcessNoise
 from insdvl.navigation.geometry.earth import EARTH_RATE, gravity
 from insdvl.navigation.geometry.frames import rotation_from_rpy
 from insdvl.navigation.measurements.dvl import Dvl
@@ -33,10 +33,12 @@ def flown(
     vibration: float = 0.0,
     rate: int = RATE,
     without_data: Sequence[int] = (),
+    learned: float = 0.0,
 ) -> FoldResult:
     """Level and straight at a speed; the DVL shows zeros, but before a time [s] the speed.
 
-    Samples of these indices have no data, zeros.
+    Samples of these indices have no data, zeros. A learned Q, if any, is this factor of the
+    variance of the samples.
     """
     rng = np.random.default_rng(SEED)
     n = seconds * rate
@@ -50,6 +52,9 @@ def flown(
         v_d = v_b + 0.01 * rng.standard_normal(3) if second < lock_until else np.zeros(3)
         events.append(Dvl(NS + second * NS, v_d))
     variances = MEMS.variances(float(rate)).tolist()
+    if learned:
+        Q = learned * np.diag(variances)
+        events += [ProcessNoise(NS + k * NS, Q[:3, :3], Q[3:, 3:]) for k in range(seconds)]
     parameters = build(
         FilterParameters,
         {
@@ -60,6 +65,7 @@ def flown(
             "initial.mode": "set_odometry",
             "initial.velocity_std": velocity_std,
             "initial.tilt_std": 0.005,
+            "process_noise.source": "external" if learned else "constant",
             "process_noise.accelerometer_variance": tuple(variances[:3]),
             "process_noise.gyroscope_variance": tuple(variances[3:]),
         },
@@ -105,6 +111,14 @@ def test_an_imu_that_shows_motion_does_not_take_zeros(vibration: float, taken: b
     found = reasons(flown(5, vibration=vibration))
     assert (set(found) == {""}) is taken
     assert (set(found) == {"no_lock"}) is not taken
+
+
+@pytest.mark.parametrize("learned", [0.3, 1.0, 2.0])
+def test_a_learned_noise_that_is_a_factor_off_does_not_hide_a_rest(learned: float) -> None:
+    """Fewer than one ping in twenty fails one of the four tests by chance."""
+    found = reasons(flown(60, learned=learned))
+    assert found.count("no_lock") < 3
+    assert set(reasons(flown(60, speed=1.0, lock_until=20, learned=learned))[19:]) == {"no_lock"}
 
 
 @pytest.mark.parametrize("rate", [10, 15])

@@ -395,11 +395,13 @@ def test_exit_codes_and_json_on_the_terminal(
     assert "does not exist" in capsys.readouterr().err
 
 
-def test_a_velocity_along_one_axis_has_a_speed() -> None:
-    log = DvlLog(10.0, np.eye(3))
-    for k in range(20):
-        log.add(Dvl(k * NS, np.array([1.5 + 0.01 * k, 0.0, 0.0]), measured=(True, False, False)))
+def test_a_velocity_along_one_axis_has_a_speed_and_a_scatter() -> None:
+    log, rng = DvlLog(10.0, np.eye(3)), np.random.default_rng(3)
+    for k in range(400):
+        v = np.array([1.5 + 0.01 * k + 0.05 * rng.standard_normal(), 0.0, 0.0])
+        log.add(Dvl(k * NS, v, measured=(True, False, False)))
     facts = log.facts()
-    assert facts.speed is not None and facts.speed[0] == pytest.approx(1.6, abs=0.01)
-    assert (facts.count, facts.partial, facts.zeros) == (20, 20, 0)
-    assert facts.scatter is None
+    assert facts.speed is not None and facts.speed[0] == pytest.approx(3.5, abs=0.1)
+    assert (facts.count, facts.partial, facts.zeros) == (400, 400, 0)
+    assert facts.scatter is not None and facts.scatter[0] == pytest.approx(0.05, rel=0.2)
+    assert np.isnan(facts.scatter[1:]).all()

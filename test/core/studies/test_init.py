@@ -18,7 +18,9 @@ from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import flatten
 from insdvl.parameters.sections import load_section
 from insdvl.recordings.base import encode, new_message
+from insdvl.recordings.messages import twist_message
 from insdvl.recordings.parameters import ReplayParameters
+from insdvl.simulation.drawn.scenarios import DRAWN
 from insdvl.simulation.grades import GRADES
 from insdvl.simulation.mission import simulate
 from insdvl.simulation.motion import Channel, Wave
@@ -98,6 +100,21 @@ def test_what_else_is_in_the_recording_is_set(tmp_path: Path) -> None:
     assert "59.91   " in (tmp_path / "my.yaml").read_text()
 
 
+def test_the_noise_of_a_speed_along_one_axis_is_that_of_its_scatter(tmp_path: Path) -> None:
+    mission = flown(SECONDS)
+    R = np.diag([0.0, np.inf, np.inf])
+    speeds = zip(mission.dvl_stamps_ns.tolist(), mission.v_d[:, 0], strict=True)
+    raws = [raw for raw in raws_of(mission) if raw.topic != "/dvl"]
+    for stamp_ns, v in speeds:
+        raws.append(encode("/dvl", stamp_ns, twist_message(stamp_ns, "dvl", [v, 0.0, 0.0], R)))
+    bag = save(tmp_path / "dive", sorted(raws, key=lambda raw: raw.time_ns))
+    assert cli.main(["check", str(bag), "--json", str(tmp_path / "seen.json")]) == 0
+    assert json.loads((tmp_path / "seen.json").read_text())["dvl"]["scatter"][1:] == [None, None]
+    assert cli.main(["init", str(bag), "-o", str(tmp_path / "my.yaml")]) == 0
+    sigma = load_section(tmp_path / "my.yaml", "insdvl_filter", FilterParameters).dvl.noise_std
+    assert 0.01 < sigma[0] < 0.04
+
+
 def test_an_existing_file_is_left_alone(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -160,6 +177,45 @@ def test_an_imu_with_a_low_pass_has_the_noise_below_it_and_accuses_nothing(
     noise = load_section(written, "insdvl_filter", FilterParameters).process_noise
     found = np.array([*noise.accelerometer_variance, *noise.gyroscope_variance])
     assert (found > q / 4.0).all() and (found < 4.0 * q).all()
+
+
+@pytest.mark.parametrize("frequency", [17.0, 39.6, 45.0])
+def test_vibration_is_no_noise_of_a_sample(frequency: float, tmp_path: Path) -> None:
+    """A hundred times as strong; at 39.6 Hz differences of all orders show the same."""
+    mission = flown(60.0)
+    noise = np.sqrt(GRADES["tactical"].variances())
+    t = (mission.stamps_ns - START_NS) / NS
+    shaken = np.sin(2.0 * np.pi * frequency * t)[:, None] * 10.0 * np.sqrt(2.0) * noise
+    raws = raws_of(
+        replace(mission, f_b=mission.f_b + shaken[:, :3], w_ib_b=mission.w_ib_b + shaken[:, 3:])
+    )
+    path, written = save(tmp_path / "dive", raws), tmp_path / "my.yaml"
+    assert cli.main(["init", str(path), "-o", str(written)]) == 0
+    told = load_section(written, "insdvl_filter", FilterParameters).process_noise
+    found = np.array([*told.accelerometer_variance, *told.gyroscope_variance])
+    assert (found > noise**2 / 10.0).all() and (found < 10.0 * noise**2).all()
+    assert "at low frequencies" in written.read_text()
+
+
+@pytest.mark.parametrize(("rate", "seed"), [(100.0, 1), (100.0, 3), (200.0, 3)])
+def test_vibration_is_no_reason_to_believe_a_dvl_more(
+    rate: float, seed: int, tmp_path: Path
+) -> None:
+    """It is in the pings as in the samples, and no noise of the IMU that would explain theirs."""
+    fog = GRADES["fog"]
+    mission = simulate(
+        AUV,
+        fog.of_scenario(DRAWN["vibrating"], rate),
+        seed=seed,
+        duration=160.0,
+        imu=fog.imu(rate),
+        dvl=DvlModel(noise_std=(0.02,) * 3),
+        start_ns=START_NS,
+    )
+    path, written = save(tmp_path / "dive", raws_of(mission)), tmp_path / "my.yaml"
+    assert cli.main(["init", str(path), "-o", str(written)]) == 0
+    parameters = load_section(written, "insdvl_filter", FilterParameters)
+    assert 0.017 < parameters.dvl.noise_std[0] < 0.025
 
 
 @pytest.mark.long

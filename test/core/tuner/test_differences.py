@@ -12,6 +12,7 @@ from insdvl.tuner.features.differences import (
     SIGMAS,
     bounded,
     difference_variances,
+    integrated_variances,
     is_low_passed,
     low_pass_factor,
     relative_error,
@@ -123,3 +124,24 @@ def test_waves_are_no_noise_behind_a_low_pass():
     samples = ImuModel(bandwidth=10.0).filtered(noise + 0.1 * waves)
     shown = low_pass_factor(samples) * difference_variances(samples[:, :3].T, 1).mean()
     assert 0.4 < shown / 1e-4 < 2.0
+
+
+@pytest.mark.parametrize("rate", [62.5, 100.0, 200.0, 1000.0])
+def test_neither_motion_nor_vibration_nor_a_low_pass_is_integrated_noise(rate):
+    """In windows of 20 s; the vibration has up to 400 times the variance of the noise."""
+    n = round(20 * rate)
+    rng, t = np.random.default_rng(2), np.arange(n) / rate
+    white = rng.standard_normal((n, 6))
+    turning = white + np.outer(30.0 * np.sin(2.0 * np.pi * 0.2 * t), [0, 0, 0, 1, 1, 1])
+    lines = np.sin(2.0 * np.pi * 18.0 * t) + np.sin(2.0 * np.pi * 27.0 * t + 1.0)
+    shaken = white + np.outer(20.0 * lines, np.ones(6))
+    behind = ImuModel(rate=rate, bandwidth=0.15 * rate).filtered(shaken)
+    for samples in (white, turning, shaken, behind):
+        for variance in integrated_variances(samples, rate):
+            assert 0.6 < variance < 1.4
+
+
+def test_a_few_samples_show_the_noise_of_their_differences():
+    samples = np.random.default_rng(2).standard_normal((199, 6))
+    shown = difference_variances(samples.T, 1).reshape(2, 3).mean(axis=1)
+    assert integrated_variances(samples, 100.0) == pytest.approx(shown)

@@ -158,7 +158,8 @@ class Automatic:
     def decide(self, s: State, stamp_ns: int, noise: Noise) -> Beginning | None:
         """At the end of a block of plausible gravity: how to begin, None to see another block."""
         start, nav = s["start"], s["nav"]
-        window = _window(s)
+        window = window_of_block(s)
+        noise = rest.noise_at_rest(window, noise)
         g = gravity(nav["lat_0"], nav["h_0"])
         misfit = rest.misfit_to_rest(window, self._bias, noise, g)
         velocity, motion = self._velocity(s, stamp_ns), misfit.motion
@@ -295,7 +296,7 @@ def _to_local(s: State, p_o: Array) -> Array:
     return np.eye(3) if place is None else np.asarray(odom.jacobian(place, origin)[1].T)
 
 
-def _window(s: State) -> Window:
+def window_of_block(s: State) -> Window:
     """The window of the block that is complete."""
     start = s["start"]
     total = np.concatenate([start["level_f"], start["level_w"]])

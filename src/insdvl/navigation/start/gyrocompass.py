@@ -18,7 +18,7 @@ from insdvl.navigation.gate.chi_square import exceeded
 from insdvl.navigation.geometry.earth import earth_rate_n, gravity
 from insdvl.navigation.geometry.frames import rotation_from_rpy
 from insdvl.navigation.geometry.rotation import cross_matrix
-from insdvl.navigation.state import Constants, State
+from insdvl.navigation.state import NEVER, Constants, State
 
 # What has become of it, as it stands in the record. All but the first two: the heading is as told.
 UNDECIDED, FOUND, INACCURATE, MOVES, GAP, NOT_THE_EARTH = range(6)
@@ -41,6 +41,8 @@ class Noise:
         bias_f: One sigma of each axis of the accelerometer bias [m/s^2].
         bias_w: Of the gyroscope bias [rad/s].
         rate: Samples per second [Hz].
+        of_samples: Whether single samples have it. A received Q is that which a filter integrates,
+            and its sender may know it to a factor only.
     """
 
     f: Array
@@ -50,6 +52,7 @@ class Noise:
     bias_f: float
     bias_w: float
     rate: float
+    of_samples: bool = True
 
     def of_mean(self, count: float, seconds: float) -> Array:
         """Covariance (6, 6) of a mean of samples, f then w, against the bias at its end.
@@ -78,6 +81,7 @@ def noise_of(s: State, c: Constants, bias_f: float, bias_w: float) -> Noise:
         bias_f=bias_f,
         bias_w=bias_w,
         rate=float(c["rate"]),
+        of_samples=bool(s["noise"]["q_ns"] == NEVER),
     )
 
 

@@ -25,7 +25,7 @@ from insdvl.navigation.prediction import strapdown
 from insdvl.navigation.start import automatic, gyrocompass, wrong_heading
 from insdvl.navigation.start.automatic import Automatic
 from insdvl.navigation.start.parameters import InitialParameters, OriginParameters
-from insdvl.navigation.start.rest import Attitude
+from insdvl.navigation.start.rest import Attitude, noise_at_rest
 from insdvl.navigation.state import NEVER, State
 
 #: What the mean specific force at rest may differ from gravity, as a fraction of it.
@@ -310,8 +310,7 @@ class Start:
         start["level_f"] += sample.f_b
         start["level_w"] += sample.w_ib_b
         start["level_count"] += 1
-        if is_automatic:
-            self._automatic.collect(s, sample)
+        self._automatic.collect(s, sample)
         duration = round(parameters.levelling_time * NS)
         if sample.stamp_ns - start["level_ns"] < duration:
             return False
@@ -331,7 +330,8 @@ class Start:
             return self._begin(state, initial, sample.stamp_ns, sample.w_ib_b, found)
         undecided = start["compass"] == gyrocompass.UNDECIDED
         if parameters.mode == "gyrocompassing" and undecided:
-            noise, mean = self._noise(s), np.concatenate([f_b, w_ib_b])
+            noise = noise_at_rest(automatic.window_of_block(s), self._noise(s))
+            mean = np.concatenate([f_b, w_ib_b])
             gyrocompass.see_block(s, mean, count, noise, self._plan, sample.stamp_ns)
             if start["compass"] == gyrocompass.FOUND:
                 rest = gyrocompass.at_rest(s, noise)

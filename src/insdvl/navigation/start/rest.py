@@ -2,7 +2,8 @@
 
 At rest the samples are white noise of the variance that the filter is told, about a specific force
 of the size of gravity and a rate that is the Earth's and the gyroscope's bias. A steady cruise
-looks the same. Derivation: docs/explanation/start.md.
+looks the same. A Q that is received tells no variance of samples: they show it themselves.
+Derivation: docs/explanation/start.md.
 """
 
 from dataclasses import dataclass, replace
@@ -56,6 +57,30 @@ def window_of(samples: Array) -> Window:
     return Window((half, len(samples) - half), sums, samples.T @ samples)
 
 
+def noise_at_rest(window: Window, told: Noise) -> Noise:
+    """The noise of the samples of a window, if they are of a vehicle at rest.
+
+    It is as told, or where that is not of samples at least as large as they spread.
+    """
+    if told.of_samples:
+        return told
+    f, w = (
+        R * max(1.0, of) for R, of in zip((told.f, told.w), _spreads(window, told), strict=True)
+    )
+    return replace(told, f=f, w=w, of_samples=True)
+
+
+def _spreads(window: Window, noise: Noise) -> list[float]:
+    """Variance of the samples of each triad about their mean, in units of that of the noise."""
+    n, mean = window.count, window.mean
+    S = window.products - n * np.outer(mean, mean)
+    R = noise.of_mean(1.0, 0.0)
+    # The two triads are independent in R.
+    return [
+        float(np.trace(np.linalg.solve(R[at, at], S[at, at]))) / (3 * (n - 1)) for at in _TRIADS
+    ]
+
+
 @dataclass(frozen=True)
 class Misfit:
     """How many times larger than chance the misfits to a vehicle at rest are; at most 1 at rest.
@@ -90,14 +115,12 @@ def misfit_to_rest(window: Window, bias: Array, noise: Noise, g: float) -> Misfi
     """
     if min(window.counts) < LEAST_SAMPLES:
         return Misfit(np.inf, np.inf)
+    noise = noise_at_rest(window, noise)
     n, mean = window.count, window.mean
     early, late = window.counts
-    S = window.products - n * np.outer(mean, mean)
-    R = noise.of_mean(1.0, 0.0)
-    # The two triads are independent in R.
-    squares = [float(np.trace(np.linalg.solve(R[at, at], S[at, at]))) for at in _TRIADS]
-    for at, square in zip(_TRIADS, squares, strict=True):
-        R[at, at] *= max(1.0, square / (3 * (n - 1)))
+    R, spreads = noise.of_mean(1.0, 0.0), _spreads(window, noise)
+    for at, spread in zip(_TRIADS, spreads, strict=True):
+        R[at, at] *= max(1.0, spread)
     step = window.sums[1] / late - window.sums[0] / early
     of_mean = R / n + noise.of_biases()
     rate = mean[3:] - bias[3:]
@@ -111,7 +134,8 @@ def misfit_to_rest(window: Window, bias: Array, noise: Noise, g: float) -> Misfi
         _square(rate, of_rate) / exceeded(3, FALSE_ALARM),
         (size - g) ** 2 / of_size / exceeded(1, FALSE_ALARM) if of_size else np.inf,
     )
-    return Misfit(sum(squares) / exceeded(6 * (n - 1), FALSE_ALARM), max(motions))
+    spread = 3 * (n - 1) * sum(spreads) / exceeded(6 * (n - 1), FALSE_ALARM)
+    return Misfit(spread, max(motions))
 
 
 def _square(x: Array, P: Array) -> float:

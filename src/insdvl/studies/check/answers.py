@@ -278,6 +278,12 @@ def _samples(seen: Inspection) -> Iterator[Finding]:
                 "or the vehicle vibrates. What is told here is the noise at low frequencies. The "
                 "tuner's difference_order must be 0.",
             )
+        elif imu.shaken:
+            yield Finding(
+                SAMPLES,
+                "Neighbouring samples differ by more than that: the vehicle vibrates. What is told "
+                "here is the noise at low frequencies.",
+            )
         settings = _noise(seen)
         if settings:
             yield _setting(
@@ -332,10 +338,9 @@ def _pings(seen: Inspection) -> Iterator[Finding]:
             yield _wrong(PINGS, f"{count} of {dvl.count} {text}.")
     if dvl.told is not None:
         yield Finding(PINGS, f"The messages tell a sigma of {dvl.told:.2g} m/s.")
-    if dvl.scatter is not None and dvl.scatter.any():
-        yield Finding(
-            PINGS, f"They scatter by {_list(dvl.scatter)} m/s, motion between pings included."
-        )
+    if dvl.scatter is not None and np.nansum(dvl.scatter) > 0.0:
+        shown = _list(dvl.scatter[np.isfinite(dvl.scatter)])
+        yield Finding(PINGS, f"They scatter by {shown} m/s, motion between pings included.")
 
 
 def _fit(seen: Inspection) -> Iterator[Finding]:

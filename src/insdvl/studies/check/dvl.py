@@ -31,7 +31,8 @@ class DvlFacts:
         speed: Median and largest size of what was measured [m/s]; None without any that is not
             zero.
         mean: (3,) mean velocity [m/s].
-        scatter: (3,) one sigma of the noise, by differences [m/s]; None with too few.
+        scatter: (3,) one sigma of the noise, by differences [m/s], nan for a component that was
+            not measured; None with too few.
         told: One sigma that the messages tell, the median [m/s]; None where they tell none.
         first: Sizes of the first velocities [m/s].
     """
@@ -68,38 +69,35 @@ class DvlLog:
     def __init__(self, max_speed: float, axes: Array) -> None:
         self._max_speed, self._axes = max_speed, axes
         self._stamps: list[int] = []
-        self._v: list[Array] = []
+        self._v: list[Array] = []  # nan where not measured
         self._told: list[float] = []
-        self._partial: list[float] = []  # sizes of what was measured
         self.refused: Counter[str] = Counter()
 
     def add(self, event: Dvl) -> None:
         """Take a measurement."""
-        if not all(event.measured):
-            self._partial.append(float(np.linalg.norm(event.v_d)))
-            return
         self._stamps.append(event.stamp_ns)
-        self._v.append(self._axes @ event.v_d)
-        if event.R is not None and event.R.any():
+        # The axes differ in signs only.
+        self._v.append(np.where(event.measured, self._axes @ event.v_d, np.nan))
+        if all(event.measured) and event.R is not None and event.R.any():
             self._told.append(float(np.sqrt(np.diag(event.R).max())))
 
     def facts(self) -> DvlFacts:
         """What they show."""
-        v = np.array(self._v).reshape(-1, 3)
-        speeds = np.linalg.norm(v, axis=1)
-        sizes = np.concatenate([speeds, self._partial])
+        every = np.array(self._v).reshape(-1, 3)
+        v = every[np.isfinite(every).all(axis=1)]
+        speeds, sizes = np.linalg.norm(v, axis=1), np.sqrt(np.nansum(every**2, axis=1))
         moving = sizes[sizes > 0.0]
         equal = (np.diff(v, axis=0) == 0.0).all(axis=1) & (speeds[1:] > 0.0)
         return DvlFacts(
-            count=len(sizes),
+            count=len(every),
             refused=self.refused,
             zeros=int((speeds == 0.0).sum()),
             too_fast=int((sizes > self._max_speed).sum()),
             repeats=int(equal.sum()),
-            partial=len(self._partial),
+            partial=len(every) - len(v),
             speed=(float(np.median(moving)), float(moving.max())) if moving.size else None,
             mean=v.mean(axis=0) if len(v) else np.zeros(3),
-            scatter=_scatter(np.array(self._stamps), v),
+            scatter=_scatter(np.array(self._stamps), every),
             told=float(np.median(self._told)) if self._told else None,
             first=tuple(float(speed) for speed in speeds[:3]),
         )
@@ -108,7 +106,8 @@ class DvlLog:
 def _scatter(stamps_ns: Array, v: Array) -> Array | None:
     """One sigma (3,) of white noise, by the median size of third differences of regular pings.
 
-    The median leaves turns and changes of speed out, which are rare.
+    The median leaves turns and changes of speed out, which are rare. Of v (N, 3) what is nan was
+    not measured, and so is a sigma that too few tell.
     """
     if len(v) <= ORDER:
         return None
@@ -116,7 +115,9 @@ def _scatter(stamps_ns: Array, v: Array) -> Array | None:
     usual = np.abs(steps - np.median(steps)) < 0.2 * np.median(steps)
     regular = usual[2:] & usual[1:-1] & usual[:-2]
     sizes = np.abs(np.diff(v, n=ORDER, axis=0))[regular]
-    if len(sizes) < FEWEST:
+    enough = np.isfinite(sizes).sum(axis=0) >= FEWEST
+    if not enough.any():
         return None
-    sigma = np.median(sizes, axis=0) / MEDIAN / np.sqrt(comb(2 * ORDER, ORDER))
-    return np.asarray(sigma)
+    sigma = np.full(3, np.nan)
+    sigma[enough] = np.nanmedian(sizes[:, enough], axis=0)
+    return np.asarray(sigma / MEDIAN / np.sqrt(comb(2 * ORDER, ORDER)))

@@ -33,6 +33,9 @@ WINDOW = 100  # samples of one estimate of the noise
 #: A channel that repeats its largest reading so often in a row stands at the end of its range,
 #: where that is so far from its mean [m/s^2, rad/s]: no resolution explains it.
 STANDS, AWAY = 3, (5.0, 0.5)
+#: Differences that show so many times the noise at low frequencies show vibration: the model's
+#: median is rarely half of the variance of white noise.
+SHAKEN = 2.0
 NAMES = ("f_x", "f_y", "f_z", "w_x", "w_y", "w_z")
 
 
@@ -48,6 +51,8 @@ class ImuFacts:
         variance: (6,) of the noise of a sample; zeros with too few samples.
         low_passed: Whether the noise falls towards half the rate, by a low-pass or by vibration;
             `variance` is then that at low frequencies.
+        shaken: Whether vibration hides the noise of a channel from the differences; its `variance`
+            is then that at low frequencies.
         stands: Channels at the end of their range, with that reading.
         saturated: Number of samples at the declared range.
         frozen: Number of samples with a frozen channel.
@@ -62,6 +67,7 @@ class ImuFacts:
     largest: Array
     variance: Array
     low_passed: bool
+    shaken: bool
     stands: dict[str, float]
     saturated: int
     frozen: int
@@ -151,7 +157,7 @@ class ImuLog:
         """What all samples have shown."""
         self._look()
         counters = self._state[0]["counters"]
-        variance, low_passed = self._noise()
+        variance, low_passed, shaken = self._noise()
         mean = self._sum / max(self._used, 1)
         stands = {
             NAMES[i]: self._axes[i] * value
@@ -166,6 +172,7 @@ class ImuLog:
             largest=np.maximum(np.abs(self._low), np.abs(self._high)) if self._first else mean,
             variance=variance,
             low_passed=low_passed,
+            shaken=shaken,
             stands=stands,
             saturated=int(counters["saturated"]),
             frozen=int(counters["frozen"]),
@@ -174,14 +181,18 @@ class ImuLog:
             start=self._start(variance),
         )
 
-    def _noise(self) -> tuple[Array, bool]:
-        """Variances (6,) of a sample's noise, and whether the IMU is low-passed."""
+    def _noise(self) -> tuple[Array, bool, bool]:
+        """Variances (6,) of a sample's noise, whether the IMU is low-passed, and whether shaken."""
         if not self._variances:
-            return np.zeros(6), False
+            return np.zeros(6), False, False
         variance = np.median(self._variances, axis=0)
-        if not self._chunks or not is_low_passed(variance, np.median(self._higher, axis=0)):
-            return variance, False
-        return np.median(self._chunks, axis=0), True
+        if not self._chunks:
+            return variance, False, False
+        at_low = np.median(self._chunks, axis=0)
+        if is_low_passed(variance, np.median(self._higher, axis=0)):
+            return at_low, True, False
+        shaken = variance > SHAKEN * at_low
+        return np.where(shaken, at_low, variance), False, bool(shaken.any())
 
     def _start(self, variance: Array) -> Misfit | None:
         """How far the first samples are from those of a vehicle at rest, as the filter judges."""

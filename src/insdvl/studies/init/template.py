@@ -98,9 +98,10 @@ def _filter(seen: Inspection) -> Iterator[Line]:
     floors = np.repeat([noise.accelerometer_floor, noise.gyroscope_floor], 3)
     variance = np.where(imu.variance > 0.0, np.maximum(imu.variance, floors), _told(p))
     name, grade = _grade(variance, rate)
+    by_bands = imu.low_passed or imu.shaken
+    by = "at low frequencies, by the model bands" if by_bands else "by differences"
     for k, sensor in enumerate(("accelerometer", "gyroscope")):
         values = tuple(float(f"{x:.2g}") for x in variance[3 * k : 3 * k + 3])
-        by = "at low frequencies, by the model bands" if imu.low_passed else "by differences"
         yield Line(f"process_noise.{sensor}_variance", values, by)
     for sensor in ("accelerometer", "gyroscope"):
         bias = getattr(grade, f"{sensor}_bias")
@@ -123,8 +124,8 @@ def _dvl_noise(seen: Inspection) -> Line:
     scatter = seen.dvl.scatter if seen.dvl is not None else None
     if seen.ping_noise is not None:
         shown, by = seen.ping_noise[0], "from ping to ping"
-    elif scatter is not None and scatter.any():
-        shown, by = float(np.sqrt(np.mean(scatter**2))), "by their scatter"
+    elif scatter is not None and np.nansum(scatter) > 0.0:
+        shown, by = float(np.sqrt(np.nanmean(scatter**2))), "by their scatter"
     else:
         return Line(name, told.noise_std, f"{CHECK}: m/s, by its data sheet")
     sigma = max(float(f"{shown:.2g}"), told.noise_floor, _LEAST_SCATTER)

@@ -20,7 +20,7 @@ from insdvl.arrays import Array
 from insdvl.tuner.features.band_forms import least_band
 from insdvl.tuner.features.bands import NEAR, WINDOW
 from insdvl.tuner.features.detrend import checked
-from insdvl.tuner.windows import Estimator
+from insdvl.tuner.windows import Estimator, means, pool_of
 
 #: Orders of differences that tell a low-pass: white noise has the same variance in both, and behind
 #: a low-pass at 0.3 of the rate 0.4 of it in the higher one.
@@ -79,11 +79,37 @@ def low_pass_factor(samples: Array) -> float:
         difference_variances(channels, LOWER), difference_variances(channels, HIGHER)
     ):
         return 1.0
-    n = min(len(samples) // WINDOW * WINDOW, NEAR)
     force = channels[:3]
-    windows = np.concatenate([force[:, k : k + n] for k in range(0, len(samples) - n + 1, n)])
     shown = difference_variances(force, 1).mean()
-    return max(float(least_band(windows).mean() / shown), 1.0)
+    return max(float(_least_bands(force).mean() / shown), 1.0)
+
+
+def integrated_variances(samples: Array, rate: float) -> tuple[float, float]:
+    """Variances per sample of the noise that a filter integrates, of specific force and rate.
+
+    Differences leave slow motion out, and bands the vibration: of the two the smaller one counts.
+    The mean is over the axes.
+
+    Args:
+        samples: (N, 6) specific force and angular rate.
+        rate: Of the IMU [Hz].
+    """
+    channels = np.ascontiguousarray(samples.T)
+    differences = difference_variances(channels, 1) * low_pass_factor(samples)
+    f, w = differences.reshape(2, 3).mean(axis=1).tolist()
+    k = pool_of(rate)
+    if len(samples) >= k * WINDOW:
+        bands = k * _least_bands(means(channels, k)).reshape(2, 3).mean(axis=1)
+        f, w = min(f, float(bands[0])), min(w, float(bands[1]))
+    return f, w
+
+
+def _least_bands(channels: Array) -> Array:
+    """Mean `least_band` (M,) of channels (M, N), N >= `WINDOW`, over stretches of up to `NEAR`."""
+    M, N = channels.shape
+    n = min(N // WINDOW * WINDOW, NEAR)
+    stretches = channels[:, : N // n * n].reshape(-1, n)
+    return np.asarray(least_band(stretches).reshape(M, -1).mean(axis=1))
 
 
 def bounded(estimate: Estimator, order: int, window: int) -> Estimator:

@@ -9,7 +9,7 @@ import numpy as np
 from insdvl.arrays import Array, Stamps
 from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.frames import rotation_from_vector
-from insdvl.tuner.features.differences import low_pass_factor
+from insdvl.tuner.features.differences import integrated_variances
 from insdvl.watch.alignment.causes import NOTHING, TURNS, Cause, Miswired
 from insdvl.watch.alignment.estimation import (
     MOUNT,
@@ -74,13 +74,12 @@ class Motion:
     def _noise(self) -> Array:
         """Variances (5,) of the residual by the noise of the IMU, see `of_noise` [(m/s)^2].
 
-        A turn by an angular random walk leaks gravity, and turns the velocity. The noise is what
-        differs from sample to sample, and what a low-pass hides of it.
+        A turn by an angular random walk leaks gravity, and turns the velocity. The noise is that
+        which is integrated: vibration is motion, which the pings have as well.
         """
         s = self.samples
         dt = float(np.diff(s.stamps).mean()) / NS
-        factor = low_pass_factor(np.hstack([s.f, s.w]))
-        w, f = (factor * (np.diff(a, axis=0) ** 2).mean() / 2.0 * dt for a in (s.w, s.f))
+        f, w = (q * dt for q in integrated_variances(np.hstack([s.f, s.w]), 1.0 / dt))
         of_walk, of_integral = self.bases.of_noise(self.window.t)
         speed = float((self.window.v_d**2).sum(axis=1).mean())
         turned = 2.0 / 3.0 * w * (speed * of_walk + GRAVITY**2 * of_integral)  # two of three
