@@ -171,14 +171,15 @@ _START = (
     Field("level_w", NUMBER, (3,)),
     Field("level_count", COUNT),
     Field("level_ns", STAMP),
-    # Of the mode 'auto': sums of the earlier half of it, f then w, its number, and sums of products
+    # Sums of the earlier half of it, f then w, its number, and sums of products
     Field("level_half", NUMBER, (6,)),
     Field("level_half_count", COUNT),
     Field("level_products", NUMBER, (6, 6)),
-    # Gyrocompassing, over many levellings: sum of both, number of samples, stamp of the first,
-    # number of comparisons of a block with those before it, and sum of their squared misfits
+    # Gyrocompassing, over many levellings: sum of both, number of samples, sums of their variances,
+    # stamp of the first, number of comparisons of a block with those before, sum of squared misfits
     Field("rest_sum", NUMBER, (6,)),
     Field("rest_count", COUNT),
+    Field("rest_noise", NUMBER, (2, 3, 3)),
     Field("rest_ns", STAMP),
     Field("rest_blocks", COUNT),
     Field("rest_nis", NUMBER),

@@ -251,12 +251,14 @@ def test_a_turn_larger_than_the_bias_is_no_rest() -> None:
 # ------------------------------------------------------------------ heading
 
 
-def test_on_a_stand_a_fog_finds_the_heading_and_carries_it_to_the_water() -> None:
+@pytest.mark.parametrize("source", ["constant", "external"])
+def test_on_a_stand_a_fog_finds_the_heading_and_carries_it_to_the_water(source: str) -> None:
     """Still for 15 s, then it rolls: it starts within a second, with the heading of the stand."""
     stamps_ns, f_b, w_ib_b, _ = at_rest(FOG, 20.0)
     rocked(stamps_ns, f_b, w_ib_b, after=15.3)
-    parameters = settings(FOG, **{"initial.gyrocompass_time": 12.0})
-    result = fold_arrays(parameters, stamps_ns, f_b, w_ib_b, [])
+    told = {"initial.gyrocompass_time": 12.0, "process_noise.source": source}
+    events = learned(stamps_ns, FOG, 1.0) if source == "external" else []
+    result = fold_arrays(settings(FOG, **told), stamps_ns, f_b, w_ib_b, events)
     s = first_of(result)
     assert s["start"]["heading_from"] == automatic.GYROCOMPASS
     assert 15.3 < (s["nav"]["time_ns"] - stamps_ns[0]) / NS < 17.0
@@ -314,6 +316,30 @@ def test_a_learned_noise_makes_no_rest_of_a_float_that_rocks(factor: float) -> N
     s = first_of(fold_arrays(parameters, stamps_ns, f_b, w_ib_b, learned(stamps_ns, FOG, factor)))
     assert s["start"]["heading_from"] == automatic.UNKNOWN
     assert not s["start"]["at_rest"]
+
+
+def test_a_rest_that_becomes_quiet_keeps_its_noise() -> None:
+    """A pump that stops in the last second: the mean is of all samples."""
+    stamps_ns, f_b, w_ib_b, _ = at_rest(FOG, 62.0)
+    pumped = (stamps_ns - stamps_ns[0]) / NS < 59.4
+    noise = np.random.default_rng(4).standard_normal((len(stamps_ns), 6))
+    noise *= 10.0 * np.sqrt(FOG.variances(float(RATE))) * pumped[:, None]
+    parameters = settings(FOG, **{"process_noise.source": "external"})
+    events = pings(stamps_ns, (0.0,) * 3) + learned(stamps_ns, FOG, 1.0)
+    s = first_of(
+        fold_arrays(parameters, stamps_ns, f_b + noise[:, :3], w_ib_b + noise[:, 3:], events)
+    )
+    assert s["start"]["heading_from"] == automatic.GYROCOMPASS
+    assert np.radians(0.8) < sigmas(s, ATTITUDE)[2] < np.radians(1.6)
+
+
+@pytest.mark.parametrize("mode", ["auto", "gyrocompassing"])
+def test_a_block_of_one_sample_shows_no_spread(mode: str) -> None:
+    stamps_ns, f_b, w_ib_b, _ = at_rest(FOG, 1.0)
+    told = {"initial.mode": mode, "initial.levelling_time": 1e-10}
+    parameters = settings(FOG, **{"process_noise.source": "external"}, **told)
+    result = fold_arrays(parameters, stamps_ns, f_b, w_ib_b, learned(stamps_ns, FOG, 1.0))
+    assert len(result.states) == len(stamps_ns)
 
 
 def orientations(stamps_ns: np.ndarray, std: float) -> list[Event]:

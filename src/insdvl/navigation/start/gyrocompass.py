@@ -8,7 +8,7 @@ both are judged here, with the noise and the biases that the filter is told.
 Derivation: docs/explanation/gyrocompassing.md.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -217,7 +217,7 @@ def see_block(s: State, mean: Array, count: int, noise: Noise, plan: Plan, stamp
         start["rest_ns"] = start["level_ns"]
     else:
         seconds = (start["level_ns"] - start["rest_ns"]) * 1e-9
-        R = noise.of_mean(count, 0.0) + noise.of_mean(before, seconds)
+        R = noise.of_mean(count, 0.0) + _of_rest(s, noise).of_mean(before, seconds)
         misfit = mean - start["rest_sum"] / before
         nis = float(misfit @ np.linalg.solve(R, misfit))
         start["rest_nis"] += nis
@@ -229,6 +229,7 @@ def see_block(s: State, mean: Array, count: int, noise: Noise, plan: Plan, stamp
             return
     start["rest_sum"] += mean * count
     start["rest_count"] += count
+    start["rest_noise"] += count * np.array([noise.f, noise.w])
     if stamp_ns - start["rest_ns"] < plan.duration * NS:
         return
     rest = at_rest(s, noise)
@@ -248,5 +249,11 @@ def at_rest(s: State, noise: Noise) -> Rest:
     C = attitude(mean[:3], mean[3:])
     J = jacobian(C, nav["lat_0"], nav["h_0"])
     P_b = noise.of_biases()
-    P = noise.of_mean(count, count / noise.rate) + P_b
+    P = _of_rest(s, noise).of_mean(count, count / noise.rate) + P_b
     return Rest(mean, P, C, J @ P @ J.T, J @ P_b)
+
+
+def _of_rest(s: State, noise: Noise) -> Noise:
+    """The mean noise of the blocks so far; that of now may be of another vibration."""
+    f, w = s["start"]["rest_noise"] / int(s["start"]["rest_count"])
+    return replace(noise, f=f, w=w)

@@ -358,7 +358,7 @@ class Start:
         self._clear_block(s)
         start = s["start"]
         start["rest_sum"], start["rest_nis"] = 0.0, 0.0
-        start["rest_count"], start["rest_blocks"] = 0, 0
+        start["rest_count"], start["rest_blocks"], start["rest_noise"] = 0, 0, 0.0
         if start["compass"] == gyrocompass.FOUND:  # by the rest that is forgotten here
             start["compass"], start["compass_number"] = gyrocompass.UNDECIDED, 0.0
         s["counters"]["not_level"] += 1

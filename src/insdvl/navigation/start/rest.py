@@ -74,11 +74,9 @@ def _spreads(window: Window, noise: Noise) -> list[float]:
     """Variance of the samples of each triad about their mean, in units of that of the noise."""
     n, mean = window.count, window.mean
     S = window.products - n * np.outer(mean, mean)
-    R = noise.of_mean(1.0, 0.0)
+    R, freedom = noise.of_mean(1.0, 0.0), 3 * max(n - 1, 1)
     # The two triads are independent in R.
-    return [
-        float(np.trace(np.linalg.solve(R[at, at], S[at, at]))) / (3 * (n - 1)) for at in _TRIADS
-    ]
+    return [float(np.trace(np.linalg.solve(R[at, at], S[at, at]))) / freedom for at in _TRIADS]
 
 
 @dataclass(frozen=True)
