@@ -89,17 +89,24 @@ def test_targets_are_judged_by_the_numbers(document: dict) -> None:
 
 
 @pytest.mark.parametrize(
-    "of_bands, verdict",
+    "of_bands, best, verdict",
     [
-        ((0.96, 0.95, 0.97), "0.960 [0.950, 0.970], 80 % (oracle 0.950 [0.940, 0.960]) | **no** |"),
-        ((0.96, 0.95, 0.9624), "| yes |"),  # 75.2 % at the upper end
-        ((0.84, 0.83, 0.849), "| yes |"),
+        (
+            (0.96, 0.95, 0.97),
+            0.95,
+            "0.960 [0.950, 0.970], 80 % (oracle 0.950 [0.940, 0.960]) | **no** |",
+        ),
+        ((0.96, 0.95, 0.9624), 0.95, "| yes |"),  # 75.2 % at the upper end
+        ((0.84, 0.83, 0.849), 0.95, "| yes |"),
+        # Few runs may leave no gap: to be far worse than the constant is not to close it.
+        ((1.05, 1.04, 1.06), 1.02, "| **no** |"),
+        ((1.05, 1.04, 1.06), 1.0, "| **no** |"),
     ],
 )
-def test_learned_q_and_r_have_to_close_the_gap_at_the_upper_end(of_bands, verdict) -> None:
+def test_learned_q_and_r_have_to_close_the_gap_at_the_upper_end(of_bands, best, verdict) -> None:
     name = "bands with R adaptive and DVL error"
     found = documents(DOCS / "results")
-    for approach, ratio in ((name, of_bands), ("oracle", (0.95, 0.94, 0.96))):
+    for approach, ratio in ((name, of_bands), ("oracle", (best, best - 0.01, best + 0.01))):
         changed = row(found["realistic-spectrum"], approach)
         assert changed is not None
         changed["ratio_to"]["best constant"]["body_rmse"] = list(ratio)

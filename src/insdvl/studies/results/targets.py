@@ -216,7 +216,8 @@ def _gap_closed(row_: str) -> Target:
         if learned is None or oracle is None:
             return None
         ratio, best = (r["ratio_to"]["best constant"]["body_rmse"] for r in (learned, oracle))
-        share, least = ((1.0 - x) / (1.0 - best[0]) for x in (ratio[0], ratio[2]))
+        gap = 1.0 - best[0]
+        share, least = ((1.0 - x) / gap if gap > 0.0 else 0.0 for x in (ratio[0], ratio[2]))
         text = f"{interval(ratio)}, {100.0 * share:.0f} % (oracle {interval(best)})"
         return text, ratio[2] <= 0.85 or (best[0] > 0.80 and least >= 0.75)
 
