@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from insdvl.navigation.events import NS, Imu, Initial
+from insdvl.navigation.events import NS, Event, Imu, Initial, ProcessNoise
 from insdvl.navigation.geometry.earth import EARTH_RATE, gravity
 from insdvl.navigation.geometry.frames import rotation_from_rpy
 from insdvl.navigation.parameters import (
@@ -210,6 +210,27 @@ def test_a_vehicle_at_rest_is_not_taken_for_a_moving_one() -> None:
         blocks += s["start"]["rest_blocks"]
     dof = 6 * blocks
     assert abs(misfits - dof) < 5.0 * np.sqrt(2.0 * dof)
+
+
+def test_half_a_second_of_vibration_does_not_end_it_with_a_learned_noise() -> None:
+    """Alone it would make a heading of 60 degrees; among 60 s it counts with its share."""
+    received = settings(FOG)
+    received = replace(received, process_noise=replace(received.process_noise, source="external"))
+    stamps_ns, f, w = readings(FOG, 0)
+    during = slice(30 * RATE, 30 * RATE + RATE // 2)
+    shaken = w.copy()
+    shaken[during] += 2e-4 * np.sin(2.0 * np.pi * 10.0 * np.arange(RATE // 2) / RATE)[:, None]
+    Q = np.diag(FOG.variances(float(RATE)))
+    told_ns = range(NS + 1, int(stamps_ns[-1]), NS)
+    learned: list[Event] = [ProcessNoise(t, Q[:3, :3], Q[3:, 3:]) for t in told_ns]
+    sigmas = []
+    for rates in (w, shaken):
+        states = fold_arrays(received, stamps_ns, f, rates, learned).states
+        s = states[np.argmax(states["nav"]["initialised"])]
+        assert s["start"]["compass"] == FOUND
+        sigmas.append(float(np.sqrt(s["nav"]["P"][5, 5])))
+        assert abs(heading(s) - RPY[2]) < 4.0 * sigmas[-1]
+    assert sigmas[0] < sigmas[1] < np.radians(5.0)
 
 
 def test_no_noise_that_is_told_is_no_error() -> None:

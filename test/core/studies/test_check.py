@@ -405,3 +405,11 @@ def test_a_velocity_along_one_axis_has_a_speed_and_a_scatter() -> None:
     assert (facts.count, facts.partial, facts.zeros) == (400, 400, 0)
     assert facts.scatter is not None and facts.scatter[0] == pytest.approx(0.05, rel=0.2)
     assert np.isnan(facts.scatter[1:]).all()
+
+
+def test_a_component_that_every_second_ping_has_shows_its_scatter() -> None:
+    log, rng = DvlLog(10.0, np.eye(3)), np.random.default_rng(4)
+    for k in range(400):
+        v = 1.5 + 0.05 * rng.standard_normal(3)
+        log.add(Dvl(k * NS, v * (1.0, 1.0, k % 2), measured=(True, True, bool(k % 2))))
+    np.testing.assert_allclose(log.facts().scatter, 0.05, rtol=0.2)

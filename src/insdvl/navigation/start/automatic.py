@@ -222,7 +222,7 @@ class Automatic:
         sigma = gyrocompass.heading_sigma(
             noise, self._plan.duration * noise.rate, self._plan.duration, nav["lat_0"], nav["h_0"]
         )
-        if times > 1.0 and sigma < self._plan.heading_std:
+        if times > 1.0 and (sigma < self._plan.heading_std or start["rest_count"] > 0):
             start["compass"], start["compass_number"] = gyrocompass.MOVES, min(times, 1e9)
             return
         mean = window.mean - self._bias

@@ -194,9 +194,10 @@ def see_block(s: State, mean: Array, count: int, noise: Noise, plan: Plan, stamp
 
     At rest the mean of a block is that of all before it, but for the noise of both. The squared
     misfits of the blocks, 6 degrees of freedom each, are then independent. One alone tells a
-    motion at once, their sum a small one. `state.start.compass` gets the outcome, and
-    ``compass_number`` its number: the sigma of the heading [rad], or how many times larger than
-    chance a misfit is.
+    motion at once, their sum a small one. Whether the heading will be accurate enough is judged by
+    the first block, and by all of them together in the end: one that is disturbed tells neither.
+    `state.start.compass` gets the outcome, and ``compass_number`` its number: the sigma of the
+    heading [rad], or how many times larger than chance a misfit is.
 
     Args:
         s: State record.
@@ -208,12 +209,12 @@ def see_block(s: State, mean: Array, count: int, noise: Noise, plan: Plan, stamp
     """
     start, nav = s["start"], s["nav"]
     lat, h = nav["lat_0"], nav["h_0"]
-    sigma = heading_sigma(noise, plan.duration * noise.rate, plan.duration, lat, h)
-    if not sigma < plan.heading_std:
-        start["compass"], start["compass_number"] = INACCURATE, sigma
-        return
     before = int(start["rest_count"])
     if before == 0:
+        sigma = heading_sigma(noise, plan.duration * noise.rate, plan.duration, lat, h)
+        if not sigma < plan.heading_std:
+            start["compass"], start["compass_number"] = INACCURATE, sigma
+            return
         start["rest_ns"] = start["level_ns"]
     else:
         seconds = (start["level_ns"] - start["rest_ns"]) * 1e-9
@@ -233,12 +234,16 @@ def see_block(s: State, mean: Array, count: int, noise: Noise, plan: Plan, stamp
     if stamp_ns - start["rest_ns"] < plan.duration * NS:
         return
     rest = at_rest(s, noise)
+    sigma = float(np.sqrt(rest.P_psi[2, 2]))
+    if not sigma < plan.heading_std:
+        start["compass"], start["compass_number"] = INACCURATE, sigma
+        return
     misfit = earth_misfit(rest.C_n_b, rest.mean[3:], rest.P, lat, h)
     times = misfit / exceeded(2, FALSE_ALARM)
     if not times <= 1.0:
         start["compass"], start["compass_number"] = NOT_THE_EARTH, times
         return
-    start["compass"], start["compass_number"] = FOUND, float(np.sqrt(rest.P_psi[2, 2]))
+    start["compass"], start["compass_number"] = FOUND, sigma
 
 
 def at_rest(s: State, noise: Noise) -> Rest:

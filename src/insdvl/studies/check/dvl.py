@@ -104,20 +104,25 @@ class DvlLog:
 
 
 def _scatter(stamps_ns: Array, v: Array) -> Array | None:
-    """One sigma (3,) of white noise, by the median size of third differences of regular pings.
+    """One sigma (3,) of white noise; each component of v (N, 3) is nan in pings without it.
 
-    The median leaves turns and changes of speed out, which are rare. Of v (N, 3) what is nan was
-    not measured, and so is a sigma that too few tell.
+    A component that too few pings have is nan as well; None if all are.
     """
-    if len(v) <= ORDER:
-        return None
+    measured = np.isfinite(v)
+    sigma = np.array([_noise(stamps_ns[m], x[m]) for m, x in zip(measured.T, v.T, strict=True)])
+    return sigma if np.isfinite(sigma).any() else None
+
+
+def _noise(stamps_ns: Array, x: Array) -> float:
+    """One sigma of white noise, by the median size of third differences of regular pings.
+
+    The median leaves turns and changes of speed out, which are rare. It is nan for too few.
+    """
+    if len(x) <= ORDER:
+        return np.nan
     steps = np.diff(stamps_ns)
     usual = np.abs(steps - np.median(steps)) < 0.2 * np.median(steps)
-    regular = usual[2:] & usual[1:-1] & usual[:-2]
-    sizes = np.abs(np.diff(v, n=ORDER, axis=0))[regular]
-    enough = np.isfinite(sizes).sum(axis=0) >= FEWEST
-    if not enough.any():
-        return None
-    sigma = np.full(3, np.nan)
-    sigma[enough] = np.nanmedian(sizes[:, enough], axis=0)
-    return np.asarray(sigma / MEDIAN / np.sqrt(comb(2 * ORDER, ORDER)))
+    sizes = np.abs(np.diff(x, n=ORDER))[usual[2:] & usual[1:-1] & usual[:-2]]
+    if len(sizes) < FEWEST:
+        return np.nan
+    return float(np.median(sizes) / MEDIAN / np.sqrt(comb(2 * ORDER, ORDER)))

@@ -51,8 +51,8 @@ class ImuFacts:
         variance: (6,) of the noise of a sample; zeros with too few samples.
         low_passed: Whether the noise falls towards half the rate, by a low-pass or by vibration;
             `variance` is then that at low frequencies.
-        shaken: Whether vibration hides the noise of a channel from the differences; its `variance`
-            is then that at low frequencies.
+        shaken: Channels whose noise vibration hides from the differences; their `variance` is that
+            at low frequencies.
         stands: Channels at the end of their range, with that reading.
         saturated: Number of samples at the declared range.
         frozen: Number of samples with a frozen channel.
@@ -67,7 +67,7 @@ class ImuFacts:
     largest: Array
     variance: Array
     low_passed: bool
-    shaken: bool
+    shaken: tuple[str, ...]
     stands: dict[str, float]
     saturated: int
     frozen: int
@@ -181,18 +181,19 @@ class ImuLog:
             start=self._start(variance),
         )
 
-    def _noise(self) -> tuple[Array, bool, bool]:
-        """Variances (6,) of a sample's noise, whether the IMU is low-passed, and whether shaken."""
+    def _noise(self) -> tuple[Array, bool, tuple[str, ...]]:
+        """Variances (6,) of a sample's noise, whether it is low-passed, and what is shaken."""
         if not self._variances:
-            return np.zeros(6), False, False
+            return np.zeros(6), False, ()
         variance = np.median(self._variances, axis=0)
         if not self._chunks:
-            return variance, False, False
+            return variance, False, ()
         at_low = np.median(self._chunks, axis=0)
         if is_low_passed(variance, np.median(self._higher, axis=0)):
-            return at_low, True, False
+            return at_low, True, ()
         shaken = variance > SHAKEN * at_low
-        return np.where(shaken, at_low, variance), False, bool(shaken.any())
+        names = tuple(name for name, is_shaken in zip(NAMES, shaken, strict=True) if is_shaken)
+        return np.where(shaken, at_low, variance), False, names
 
     def _start(self, variance: Array) -> Misfit | None:
         """How far the first samples are from those of a vehicle at rest, as the filter judges."""

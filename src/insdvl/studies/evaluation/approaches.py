@@ -113,6 +113,7 @@ ROWS = (
 R_NOMINAL, R_ORACLE = "R nominal", "R oracle"
 BANDS_WITH_R = "bands with R adaptive"
 BANDS_WITH_ERROR = "bands with R adaptive and DVL error"
+WITH_R = (BANDS_WITH_R, BANDS_WITH_ERROR)
 R_SOURCES = {
     R_NOMINAL: "nominal",
     "R adaptive": "adaptive",
@@ -242,7 +243,7 @@ def approach(name: str, setting: Setting) -> Approach:
                 bias_time_constant=_SLOW_ERROR_TIME,
             )
         parameters = replace(parameters, dvl=dvl)
-        source = BANDS if name in (BANDS_WITH_R, BANDS_WITH_ERROR) else ORACLE
+        source = BANDS if name in WITH_R else ORACLE
         received = name in R_RECEIVED
         return Approach(name, parameters, source, name == R_ORACLE, setting.q_factor, received)
     source = "oracle" if name == ORACLE else "external"

@@ -9,6 +9,7 @@ import numpy as np
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.simulation.grades import GRADES, Grade
 from insdvl.studies.check.findings import FILTER, REPLAY, Finding, right_angles, settings_of
+from insdvl.studies.check.imu import NAMES
 from insdvl.studies.check.inspection import Inspection
 from insdvl.studies.report.parameter_page import yaml_value
 
@@ -98,9 +99,9 @@ def _filter(seen: Inspection) -> Iterator[Line]:
     floors = np.repeat([noise.accelerometer_floor, noise.gyroscope_floor], 3)
     variance = np.where(imu.variance > 0.0, np.maximum(imu.variance, floors), _told(p))
     name, grade = _grade(variance, rate)
-    by_bands = imu.low_passed or imu.shaken
-    by = "at low frequencies, by the model bands" if by_bands else "by differences"
     for k, sensor in enumerate(("accelerometer", "gyroscope")):
+        by_bands = imu.low_passed or not set(imu.shaken).isdisjoint(NAMES[3 * k : 3 * k + 3])
+        by = "at low frequencies, by the model bands" if by_bands else "by differences"
         values = tuple(float(f"{x:.2g}") for x in variance[3 * k : 3 * k + 3])
         yield Line(f"process_noise.{sensor}_variance", values, by)
     for sensor in ("accelerometer", "gyroscope"):

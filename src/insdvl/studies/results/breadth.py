@@ -14,13 +14,12 @@ from insdvl.jobs.store import Store
 from insdvl.simulation.grades import GRADES
 from insdvl.studies.evaluation.approaches import (
     BANDS,
-    BANDS_WITH_ERROR,
-    BANDS_WITH_R,
     BEST_CONSTANT,
     CLOSED_FORM,
     LEAST_BAND,
     MATCHED,
     ORACLE,
+    WITH_R,
     Setting,
 )
 from insdvl.studies.evaluation.comparison import Plan, compare
@@ -33,10 +32,9 @@ RATES = (5.0, 1.0, 0.2)  # Hz
 LENGTH, LENGTHS = 60.0, (30.0, 60.0, 120.0)
 RUNS = 10
 
-#: What is learned of R has a meaning in `realistic`, where R is not that of the data sheet.
-_WITH_R = (BANDS_WITH_R, BANDS_WITH_ERROR)
-#: In the order of the tables.
-_ROWS = (BEST_CONSTANT, CLOSED_FORM, LEAST_BAND, BANDS, ORACLE, MATCHED, *_WITH_R)
+#: In the order of the tables. What is learned of R has a meaning in `realistic`, where R is not
+#: that of the data sheet.
+_ROWS = (BEST_CONSTANT, CLOSED_FORM, LEAST_BAND, BANDS, ORACLE, MATCHED, *WITH_R)
 #: Of a row of a comparison; the rest would repeat what follows from the numbers of the runs.
 _KEPT = (
     *("failures", "body_rmse", "depth_rmse", "position_drift_percent"),
@@ -47,7 +45,7 @@ _KEPT = (
 
 def rows_of(scenario: str) -> tuple[str, ...]:
     """The rows of a comparison, in the order of the tables."""
-    return tuple(row for row in _ROWS if row not in _WITH_R or scenario == "realistic")
+    return tuple(row for row in _ROWS if row not in WITH_R or scenario == "realistic")
 
 
 def plans() -> list[Plan]:
@@ -131,7 +129,7 @@ def rates_tables(document: Mapping[str, Any]) -> str:
                 {
                     **{
                         f"NEES, {row}": _nees(row, "velocity")
-                        for row in (BEST_CONSTANT, LEAST_BAND, BANDS, *_WITH_R, ORACLE)
+                        for row in (BEST_CONSTANT, LEAST_BAND, BANDS, *WITH_R, ORACLE)
                     },
                     **{
                         f"depth [m], {row}": _value(row, "depth_rmse", 2)

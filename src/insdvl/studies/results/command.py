@@ -19,8 +19,6 @@ from insdvl.simulation.noise import SCENARIOS
 from insdvl.studies.evaluation import comparison
 from insdvl.studies.evaluation.approaches import (
     BANDS,
-    BANDS_WITH_ERROR,
-    BANDS_WITH_R,
     BEST_CONSTANT,
     BEST_XI,
     CLOSED_FORM,
@@ -34,6 +32,7 @@ from insdvl.studies.evaluation.approaches import (
     SAGE_HUSA,
     SINGLE_BAND,
     VARIATIONAL,
+    WITH_R,
     Setting,
     fingerprint,
     model_of,
@@ -59,8 +58,6 @@ _OF_SPECTRUM = (
     *(BEST_XI, VARIATIONAL, *SAGE_HUSA, BANDS, BEST_CONSTANT),
     *(CLOSED_FORM, SINGLE_BAND, LEAST_BAND, MEDIAN_OF_SPECTRUM, ORACLE, MATCHED),
 )
-#: Further ones where R is not that of the data sheet.
-_WITH_R = (BANDS_WITH_R, BANDS_WITH_ERROR)
 #: Rows of the tables on white noise, of which `MATCHED` knows no more than the oracle.
 _OF_WHITE = tuple(row for row in ROWS if row != MATCHED)
 #: Rows of the plots over time.
@@ -80,7 +77,8 @@ PLANS: Mapping[str, Plan] = {
         f"{scenario}-spectrum": Plan(
             scenario,
             Setting("calibrated"),
-            rows=(*_OF_SPECTRUM, *(_WITH_R if scenario == "realistic" else ())),
+            # Elsewhere R is that of the data sheet.
+            rows=(*_OF_SPECTRUM, *(WITH_R if scenario == "realistic" else ())),
         )
         for scenario in page.SPECTRUM
     },

@@ -4,13 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from insdvl.studies.evaluation.approaches import (
-    BANDS,
-    BANDS_WITH_ERROR,
-    BANDS_WITH_R,
-    BEST_CONSTANT,
-    ORACLE,
-)
+from insdvl.studies.evaluation.approaches import BANDS, BEST_CONSTANT, ORACLE, WITH_R
 from insdvl.studies.report.markdown import interval, number, table
 from insdvl.studies.results import breadth
 
@@ -231,11 +225,7 @@ def _gap_closed(row_: str) -> Target:
 #: Of the page on noise that is not white.
 OF_SPECTRUM = (
     *(target for name in ("vibrating", "coloured", "realistic") for target in _of_bands(name)),
-    *(
-        target
-        for row_ in (BANDS_WITH_R, BANDS_WITH_ERROR)
-        for target in (_gap_closed(row_), _consistent("realistic", row_))
-    ),
+    *(target for row_ in WITH_R for target in (_gap_closed(row_), _consistent("realistic", row_))),
     _ratio("waves-spectrum", "best constant", "body_rmse", 1.0, "bands"),
     *(
         target
@@ -333,8 +323,7 @@ def _of_breadth(scenario: str, row_: str) -> tuple[Target, ...]:
 #: Of the page on other IMUs, rates and outages.
 OF_BREADTH = (
     *(target for scenario in breadth.SCENARIOS for target in _of_breadth(scenario, BANDS)),
-    *_of_breadth("realistic", BANDS_WITH_R),
-    *_of_breadth("realistic", BANDS_WITH_ERROR),
+    *(target for row_ in WITH_R for target in _of_breadth("realistic", row_)),
 )
 
 

@@ -25,6 +25,7 @@ from insdvl.navigation.geometry.frames import vector_from_rotation
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.state import FOREVER, NEVER
+from insdvl.tuner.features.differences import integrated_variances
 from insdvl.watch.alignment.causes import Miswired, miswired
 from insdvl.watch.alignment.gravity import GravityCheck
 from insdvl.watch.alignment.search import Explanation, Motion, Samples, Search
@@ -383,4 +384,6 @@ def compile_check(parameters: FilterParameters) -> None:
     check.add(Dvl(4 * step_ns, np.full(3, 0.01)))
     stamps, zeros = step_ns * np.arange(1, 4), np.zeros((3, 3))
     integrated(stamps, zeros, zeros, stamps, zeros, 0.0)  # as after a window
+    samples = np.zeros((round(WINDOW_NS / step_ns), 6))
+    integrated_variances(samples, parameters.imu.rate)  # as the noise of a window
     vector_from_rotation(np.eye(3))  # as an explanation does
