@@ -158,7 +158,7 @@ class Automatic:
     def decide(self, s: State, stamp_ns: int, noise: Noise) -> Beginning | None:
         """At the end of a block of plausible gravity: how to begin, None to see another block."""
         start, nav = s["start"], s["nav"]
-        window = window_of_block(s)
+        window = rest.window_of_block(s)
         noise = rest.noise_at_rest(window, noise)
         g = gravity(nav["lat_0"], nav["h_0"])
         misfit = rest.misfit_to_rest(window, self._bias, noise, g)
@@ -294,15 +294,6 @@ def _to_local(s: State, p_o: Array) -> Array:
     origin = np.array([s["nav"][name] for name in ("lat_0", "lon_0", "h_0")])
     place = odom.place_of(p_o, origin)
     return np.eye(3) if place is None else np.asarray(odom.jacobian(place, origin)[1].T)
-
-
-def window_of_block(s: State) -> Window:
-    """The window of the block that is complete."""
-    start = s["start"]
-    total = np.concatenate([start["level_f"], start["level_w"]])
-    early = int(start["level_half_count"])
-    sums = np.array([start["level_half"], total - start["level_half"]])
-    return Window((early, int(start["level_count"]) - early), sums, start["level_products"].copy())
 
 
 def _upright(C_n_b: Array, f_b: Array) -> Array:

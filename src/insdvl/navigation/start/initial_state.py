@@ -25,7 +25,7 @@ from insdvl.navigation.prediction import strapdown
 from insdvl.navigation.start import automatic, gyrocompass, wrong_heading
 from insdvl.navigation.start.automatic import Automatic
 from insdvl.navigation.start.parameters import InitialParameters, OriginParameters
-from insdvl.navigation.start.rest import Attitude, noise_at_rest
+from insdvl.navigation.start.rest import Attitude, noise_at_rest, window_of_block
 from insdvl.navigation.state import NEVER, State
 
 #: What the mean specific force at rest may differ from gravity, as a fraction of it.
@@ -330,7 +330,7 @@ class Start:
             return self._begin(state, initial, sample.stamp_ns, sample.w_ib_b, found)
         undecided = start["compass"] == gyrocompass.UNDECIDED
         if parameters.mode == "gyrocompassing" and undecided:
-            noise = noise_at_rest(automatic.window_of_block(s), self._noise(s))
+            noise = noise_at_rest(window_of_block(s), self._noise(s))
             mean = np.concatenate([f_b, w_ib_b])
             gyrocompass.see_block(s, mean, count, noise, self._plan, sample.stamp_ns)
             if start["compass"] == gyrocompass.FOUND:

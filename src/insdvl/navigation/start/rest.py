@@ -15,6 +15,7 @@ from insdvl.navigation.gate.chi_square import exceeded
 from insdvl.navigation.geometry.earth import EARTH_RATE, earth_rate_n
 from insdvl.navigation.geometry.rotation import cross_matrix
 from insdvl.navigation.start.gyrocompass import Noise
+from insdvl.navigation.state import State
 
 #: Probability that a vehicle at rest is taken for a moving one, by each of the four tests.
 FALSE_ALARM = 1e-3
@@ -55,6 +56,15 @@ def window_of(samples: Array) -> Window:
     half = len(samples) // 2
     sums = np.array([samples[:half].sum(axis=0), samples[half:].sum(axis=0)])
     return Window((half, len(samples) - half), sums, samples.T @ samples)
+
+
+def window_of_block(s: State) -> Window:
+    """The window of the block that is complete."""
+    start = s["start"]
+    total = np.concatenate([start["level_f"], start["level_w"]])
+    early = int(start["level_half_count"])
+    sums = np.array([start["level_half"], total - start["level_half"]])
+    return Window((early, int(start["level_count"]) - early), sums, start["level_products"].copy())
 
 
 def noise_at_rest(window: Window, told: Noise) -> Noise:

@@ -124,11 +124,11 @@ R_SOURCES = {
     BANDS_WITH_R: "adaptive",
     BANDS_WITH_ERROR: "adaptive",
 }
-#: Slow error of the DVL of that row: sigma over that of the data sheet's white noise, and time
-#: constant [s]. It is the middle of what `realistic` draws for a vehicle.
-_SLOW_ERROR, _SLOW_ERROR_TIME = 0.3, 12.0
 #: Those of them that also receive what the tuner learns from the pings.
 R_RECEIVED = ("R adaptive received", "R learned received")
+#: Slow error of the DVL that `BANDS_WITH_ERROR` is told: sigma over that of the data sheet's white
+#: noise, and time constant [s]. It is the middle of what `realistic` draws for a vehicle.
+_SLOW_ERROR, _SLOW_ERROR_TIME = 0.3, 12.0
 #: Rows that need no filter of their own: they follow from the truth and the result of the oracle.
 FLOORS = (ZERO_VELOCITY, PERFECT_HEADING)
 
