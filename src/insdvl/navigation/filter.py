@@ -34,7 +34,8 @@ from insdvl.navigation.measurements.report import UpdateReport
 from insdvl.navigation.parameters import SENSORS, FilterParameters
 from insdvl.navigation.prediction import predict
 from insdvl.navigation.prediction.kept import Kept
-from insdvl.navigation.process_noise import shown, source_of
+from insdvl.navigation.process_noise import factor, shown, source_of
+from insdvl.navigation.process_noise.factor import Factor
 from insdvl.navigation.start import wrong_heading, zero_velocity
 from insdvl.navigation.start.initial_state import Start, locate
 from insdvl.navigation.state import (
@@ -50,7 +51,7 @@ from insdvl.navigation.state import (
 LAYOUT = layout(
     tuple(SENSORS),
     sum(size for group in SENSORS.values() for size in group.ROOM.values()),
-    {"dvl_noise": source.FIELDS},
+    {"dvl_noise": source.FIELDS, factor.GROUP: factor.FIELDS},
 )
 _NO_SAMPLES = np.empty((0, 6))
 _HEADING = ATTITUDE.stop - 1
@@ -95,6 +96,8 @@ class Filter:
         )
         self.start = Start(parameters.initial, parameters.origin, self.vehicle, blocks)
         self.process_noise = source_of(parameters.process_noise, self.vehicle)
+        adapts = parameters.process_noise.adaptive_factor
+        self._factor = Factor(parameters.process_noise, self.vehicle) if adapts else None
         self._fill_constants()
         c = self.constants[0]
         for block in blocks:
@@ -141,6 +144,8 @@ class Filter:
         """A record, in an array of length 1, to which nothing has happened."""
         state = LAYOUT.empty()
         self.process_noise.start(state[0])
+        if self._factor is not None:
+            self._factor.told(state[0])
         self.start.locate_from_parameters(state[0])
         return state
 
@@ -165,6 +170,8 @@ class Filter:
         map_to_odom.begin(s)
         wrong_heading.watch(s)
         self.process_noise.restart(s)
+        if self._factor is not None:
+            self._factor.restart(s)
         shown.restart(s)
         for noise in self._noises.values():
             noise.start(s)
@@ -228,6 +235,8 @@ class Filter:
     def receive_process_noise(self, state: Records, event: ProcessNoise) -> None:
         """The received Q is in effect from its stamp on."""
         self.process_noise.receive(state[0], event)
+        if self._factor is not None:
+            self._factor.told(state[0])
 
     def receive_sensor_noise(self, state: Records, event: SensorNoise) -> None:
         """The received R of a sensor whose noise is estimated is in effect from its stamp on."""
@@ -309,10 +318,17 @@ class Filter:
             used, accepted, reason = gate.judge(state, stamp_ns, used, linearised.R)
         report = self._report(event, now, accepted, reason)
         if report.corrected:
-            as_it_is = noise is not None and np.array_equal(used.R, linearised.R)
-            if noise is not None and as_it_is and not channels.in_doubt(s):
+            as_it_is = np.array_equal(used.R, linearised.R) and not channels.in_doubt(s)
+            if noise is not None and as_it_is:
                 used = noise.learn(s, event, nominal, used)
-            self._correct(state, event, turn, used)
+            if self._factor is None or not model.tells_velocity:
+                self._correct(state, event, turn, used)
+            else:
+                teaches = as_it_is and not at_rest
+                self._factor.meet(s, stamp_ns, used, teaches=teaches)
+                before = s["nav"].copy()
+                self._correct(state, event, turn, used)
+                self._factor.corrected(s, stamp_ns, before)
         for other in self._noises.values():
             other.follow(s, attitude)
         map_to_odom.moved(state, self.vehicle, was)
@@ -356,7 +372,8 @@ class Filter:
 
     def _is_alone(self, s: State) -> bool:
         """Whether nothing but the state and its gate takes part in an update."""
-        return not (self._noises or self.process_noise.adapts or s["start"]["heading_watched"])
+        learns = self._noises or self.process_noise.adapts or self._factor is not None
+        return not (learns or s["start"]["heading_watched"])
 
     def _turn(self, state: Records, w_ib_b: Array, share: Array) -> Turn:
         """The turn rate at a measurement, and what is not known of it."""

@@ -87,7 +87,18 @@ class ProcessNoiseParameters:
         high=0.9999,
     )
 
+    adaptive_factor: bool = parameter(
+        False,
+        "Whether a common factor on Q, 1/16 to 16, is learned from the innovations of the velocity; "
+        "the floors and ceilings hold for the product. Not beside the source 'adaptive'.",
+    )
+
     def __post_init__(self) -> None:
+        if self.adaptive_factor and self.source == "adaptive":
+            raise ParameterError(
+                "parameter 'process_noise.adaptive_factor' must be false where the source is "
+                "'adaptive': both learn from the same innovations"
+            )
         for sensor in ("accelerometer", "gyroscope"):
             floor, ceiling = (getattr(self, f"{sensor}_{end}") for end in ("floor", "ceiling"))
             if floor > ceiling:

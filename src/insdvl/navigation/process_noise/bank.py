@@ -1,0 +1,219 @@
+"""A bank of small filters that differ in the level of the process noise.
+
+Each has twelve error states, those of the published filter in the invariant coordinates of
+error-state.md, and is relative to the filter: its estimate is the difference from the filter's, and
+what the filter has beside them, mounts and slow errors of the sensor, is noise of the ping.
+"""
+
+import numpy as np
+
+from insdvl.arrays import Array
+from insdvl.kernels import kernel
+from insdvl.navigation.algebra import gain
+from insdvl.navigation.error_state import (
+    ACCELEROMETER_BIAS,
+    ATTITUDE,
+    GYROSCOPE_BIAS,
+    VELOCITY,
+    add_block,
+    set_block,
+)
+from insdvl.navigation.geometry.rotation import product, product_transposed, skew
+
+#: Velocity [m/s] and attitude [rad], NED, and biases of accelerometers [m/s^2] and gyroscopes
+#: [rad/s], base_link axes.
+SIZE = 12
+#: The levels of the factor on Q.
+LEVELS = 2.0 ** np.arange(-4.0, 5.0)
+#: Spread of the logarithm of the factor before anything is learned: within a factor of two of the
+#: told Q in two cases of three.
+SPREAD = 0.7
+#: Mean time [s] until the factor of a vehicle becomes another one, drawn anew.
+STAY = 1800.0
+PRIOR = np.exp(-0.5 * (np.log(LEVELS) / SPREAD) ** 2)
+PRIOR /= PRIOR.sum()
+
+# First elements of the blocks, for the kernels.
+_V, _A, _F, _W = VELOCITY.start, ATTITUDE.start, ACCELEROMETER_BIAS.start, GYROSCOPE_BIAS.start
+
+
+def mean(probabilities: Array) -> float:
+    """The factor whose root is the mean of the roots: the mean standard deviation."""
+    return float(probabilities @ np.sqrt(LEVELS)) ** 2
+
+
+def learned(probabilities: Array, likelihoods: Array, seconds: float) -> Array:
+    """The probabilities (L,) after a time [s] and an innovation of log likelihoods (L,)."""
+    jump = 1.0 - np.exp(-seconds / STAY)
+    before = (1.0 - jump) * probabilities + jump * PRIOR
+    after = before * np.exp(likelihoods - likelihoods.max())
+    total = after.sum()
+    # All that was believed may be so improbable now that nothing is left of it.
+    return after / total if total > 0.0 else PRIOR
+
+
+@kernel
+def advance(
+    errors: Array,
+    P: Array,
+    C_n_b: Array,
+    v_n: Array,
+    g: float,
+    S_f: Array,
+    S_w: Array,
+    walk_f: float,
+    walk_w: float,
+    seconds: float,
+) -> None:
+    """Advance the filters from ping to ping, in place.
+
+    With noise n_f, n_w of the densities of a level
+    dv' = [g x] psi - C (db_f + n_f) - [v x] C (db_w + n_w), psi' = -C (db_w + n_w).
+
+    Args:
+        errors: (L, 12) estimates relative to the filter's.
+        P: (L, 12, 12) covariances.
+        C_n_b: (3, 3) attitude.
+        v_n: (3,) velocity [m/s].
+        g: Gravity [m/s^2].
+        S_f: (3, 3) density of the specific force that is told, base_link axes.
+        S_w: (3, 3) of the angular rate.
+        walk_f: Density of the walk of the accelerometer bias.
+        walk_w: Density of the walk of the gyroscope bias.
+        seconds: Since the ping before.
+    """
+    t, Phi, Q = seconds, np.eye(SIZE), np.zeros((SIZE, SIZE))
+    G, VC, GC = np.zeros((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    M, N = np.empty((3, 3)), np.empty((3, 3))
+    G[0, 1], G[1, 0] = -g, g
+    skew(M, v_n)
+    product(VC, M, C_n_b)
+    product(GC, G, C_n_b)
+    set_block(Phi, _V, _A, t, G)
+    set_block(Phi, _V, _F, -t, C_n_b)
+    set_block(Phi, _V, _W, -t, VC)
+    add_block(Phi, _V, _W, -0.5 * t * t, GC)
+    set_block(Phi, _A, _W, -t, C_n_b)
+
+    product(M, C_n_b, S_f)
+    product_transposed(N, M, C_n_b)
+    add_block(Q, _V, _V, t, N)
+    product(M, C_n_b, S_w)
+    product_transposed(N, M, C_n_b)
+    add_block(Q, _A, _A, t, N)
+    product(M, VC, S_w)  # with v from the begin on, and with gravity through the tilt
+    product_transposed(N, M, VC)
+    add_block(Q, _V, _V, t, N)
+    product_transposed(N, M, GC)
+    _add_with_transpose(Q, _V, _V, 0.5 * t * t, N)
+    product_transposed(N, M, C_n_b)
+    _add_with_transpose(Q, _V, _A, t, N)
+    product(M, GC, S_w)
+    product_transposed(N, M, GC)
+    add_block(Q, _V, _V, t * t * t / 3.0, N)
+    product_transposed(N, M, C_n_b)
+    _add_with_transpose(Q, _V, _A, 0.5 * t * t, N)
+
+    for level in range(LEVELS.size):
+        _to_next(errors[level], P[level], Phi)
+        for i in range(_F):
+            for j in range(_F):
+                P[level, i, j] += LEVELS[level] * Q[i, j]
+        for i in range(3):
+            P[level, _F + i, _F + i] += t * walk_f
+            P[level, _W + i, _W + i] += t * walk_w
+
+
+@kernel
+def _add_with_transpose(Q: Array, row: int, column: int, factor: float, M: Array) -> None:
+    """Add a block to Q, and its transpose where it belongs."""
+    for i in range(3):
+        for j in range(3):
+            Q[row + i, column + j] += factor * M[i, j]
+            Q[column + j, row + i] += factor * M[i, j]
+
+
+@kernel
+def _to_next(error: Array, P: Array, Phi: Array) -> None:
+    """error (12,) <- Phi error and P (12, 12) <- Phi P Phi^T, in place.
+
+    Phi is the identity but for the rows of velocity and attitude, which depend on later ones only.
+    """
+    for i in range(_F):
+        for k in range(i + 1, SIZE):
+            error[i] += Phi[i, k] * error[k]
+            for j in range(SIZE):
+                P[i, j] += Phi[i, k] * P[k, j]
+    for i in range(_F):
+        for k in range(i + 1, SIZE):
+            for j in range(SIZE):
+                P[j, i] += Phi[i, k] * P[j, k]
+
+
+@kernel
+def correct(
+    errors: Array,
+    P: Array,
+    factor: float,
+    H: Array,
+    innovation: Array,
+    S: Array,
+    M: Array,
+    likelihoods: Array,
+) -> bool:
+    """Correct the filters with a ping, in place; False where no covariance of it is usable.
+
+    Args:
+        errors: (L, 12) estimates relative to the filter's.
+        P: (L, 12, 12) covariances.
+        factor: In effect in the filter.
+        H: (m, 12) Jacobian of the ping.
+        innovation: (m,) of the filter.
+        S: (m, m) its covariance.
+        M: (m, m) the part of S that is the filter's own error.
+        likelihoods: (L,) logarithms; result.
+    """
+    m, levels = len(innovation), LEVELS.size
+    at = np.log(factor / LEVELS[0]) / np.log(LEVELS[1] / LEVELS[0])
+    low = min(max(int(at), 0), levels - 2)
+    # What the filter has beside the twelve states is noise of the ping, and never less than none.
+    beside = np.empty((m, m))
+    for a in range(m):
+        for b in range(m):
+            below, above = _of_error(P[low], H, a, b), _of_error(P[low + 1], H, a, b)
+            beside[a, b] = M[a, b] - below - (at - low) * (above - below)
+    values, axes = np.linalg.eigh(beside)
+    R, S_i, K, nu = np.empty((m, m)), np.empty((m, m)), np.empty((SIZE, m)), np.empty(m)
+    for a in range(m):
+        for b in range(m):
+            R[a, b] = S[a, b] - M[a, b]
+            for k in range(m):
+                R[a, b] += axes[a, k] * max(values[k], 0.0) * axes[b, k]
+    for level in range(levels):
+        for a in range(m):
+            nu[a] = innovation[a]
+            for i in range(SIZE):
+                nu[a] -= H[a, i] * errors[level, i]
+        nis = gain(P[level], H, R, nu, S_i, K)
+        if not np.isfinite(nis):
+            return False
+        likelihoods[level] = -0.5 * (nis + np.log(np.linalg.det(S_i)))
+        for i in range(SIZE):
+            for a in range(m):
+                errors[level, i] += K[i, a] * nu[a]
+            for j in range(i + 1):
+                for a in range(m):
+                    for b in range(m):
+                        P[level, i, j] -= K[i, a] * S_i[a, b] * K[j, b]
+                P[level, j, i] = P[level, i, j]
+    return True
+
+
+@kernel
+def _of_error(P: Array, H: Array, a: int, b: int) -> float:
+    """Element of H P H^T."""
+    total = 0.0
+    for i in range(SIZE):
+        for j in range(SIZE):
+            total += H[a, i] * P[i, j] * H[b, j]
+    return total

@@ -1,0 +1,168 @@
+"""A factor on the process noise, told by the innovations of the velocity.
+
+What a source tells of Q, a constant or a tuner, may be off by a factor that stays for the whole
+mission: slow noise that hides below the motion, or motion that looks like slow noise. The pings
+know it. A bank of small filters has one for each level of the factor (bank.py); the innovations
+multiply the probability of each level by its likelihood, and the factor in effect is the mean.
+
+Only a ping that the gate takes as it is teaches, see `Filter.update`.
+
+Derivation: docs/explanation/process-noise-factor.md.
+"""
+
+import numpy as np
+
+from insdvl.arrays import Array
+from insdvl.navigation.coordinates import body_velocity_jacobian
+from insdvl.navigation.error_state import ACCELEROMETER_BIAS, ATTITUDE, GYROSCOPE_BIAS, VELOCITY
+from insdvl.navigation.events import NS
+from insdvl.navigation.geometry.earth import gravity
+from insdvl.navigation.geometry.frames import vector_from_rotation
+from insdvl.navigation.kalman import Innovated
+from insdvl.navigation.measurements.base import Vehicle
+from insdvl.navigation.process_noise import bank
+from insdvl.navigation.process_noise.bank import LEVELS, PRIOR, SIZE
+from insdvl.navigation.process_noise.parameters import ProcessNoiseParameters
+from insdvl.navigation.process_noise.received import bounded
+from insdvl.navigation.state import COVARIANCE, NEVER, NUMBER, STAMP, Field, State
+
+#: After so long [s] without a ping the bank begins again at the next one.
+PAUSE = 20.0
+#: So long [s] after its begin the bank teaches nothing: what it does not have, the biases, is
+#: least known then.
+SETTLING = 10.0
+
+#: Name of the group of the state record.
+GROUP = "q_factor"
+FIELDS = (
+    # In effect; 0 in a state from a filter that did not estimate it
+    Field("factor", NUMBER),
+    Field("probabilities", NUMBER, (LEVELS.size,)),
+    # Q without the factor, base_link axes, and its stamp
+    Field("Q_f", COVARIANCE, (3, 3)),
+    Field("Q_w", COVARIANCE, (3, 3)),
+    Field("told_ns", STAMP),
+    # The bank: estimates relative to the filter's, covariances, begin, and stamp of the last ping
+    Field("errors", NUMBER, (LEVELS.size, SIZE)),
+    Field("P", NUMBER, (LEVELS.size, SIZE, SIZE)),
+    Field("begin_ns", STAMP),
+    Field("ping_ns", STAMP),
+)
+
+
+class Factor:
+    """Estimates the factor on the Q of a state record, and keeps Q at it.
+
+    Args:
+        parameters: Of the process noise.
+        vehicle: Memory and error state of the filter.
+    """
+
+    def __init__(self, parameters: ProcessNoiseParameters, vehicle: Vehicle) -> None:
+        self._parameters = parameters
+        self._vehicle = vehicle
+
+    def told(self, s: State) -> None:
+        """A Q has taken the place of the one before; the factor goes on with it.
+
+        A factor belongs to what it is on: between a received Q and the nominal one it starts anew.
+        """
+        m, noise = s[GROUP], s["noise"]
+        if m["factor"] == 0.0 or (m["told_ns"] == NEVER) != (noise["q_ns"] == NEVER):
+            m["factor"], m["probabilities"] = 1.0, PRIOR
+        m["Q_f"], m["Q_w"], m["told_ns"] = noise["Q_f"], noise["Q_w"], noise["q_ns"]
+        self._scale(s)
+
+    def restart(self, s: State) -> None:
+        """The state is a new one: the bank begins again, what was learned stays."""
+        s[GROUP]["begin_ns"] = s[GROUP]["ping_ns"] = NEVER
+
+    def _scale(self, s: State) -> None:
+        """Q in effect, within the bounds of a received one."""
+        p, m, noise = self._parameters, s[GROUP], s["noise"]
+        for name, low, high in (
+            ("Q_f", p.accelerometer_floor, p.accelerometer_ceiling),
+            ("Q_w", p.gyroscope_floor, p.gyroscope_ceiling),
+        ):
+            noise[name], _, _ = bounded(m["factor"] * m[name], low, high)
+
+    def meet(self, s: State, stamp_ns: int, now: Innovated, *, teaches: bool) -> None:
+        """The bank takes an accepted ping, before the filter is corrected by it.
+
+        Args:
+            s: State at the ping.
+            stamp_ns: Of the ping.
+            now: The ping, as the filter takes it.
+            teaches: Whether the levels learn from it.
+        """
+        m, nav = s[GROUP], s["nav"]
+        if (m["told_ns"] == NEVER) != (s["noise"]["q_ns"] == NEVER):  # it has timed out
+            self.told(s)
+        if m["ping_ns"] == NEVER or stamp_ns - int(m["ping_ns"]) > PAUSE * NS:
+            m["begin_ns"] = m["ping_ns"] = NEVER
+            return
+        seconds = (stamp_ns - int(m["ping_ns"])) / NS
+        density, p = float(self._vehicle.constants[0]["density"]), self._parameters
+        bank.advance(
+            m["errors"],
+            m["P"],
+            nav["C_n_b"],
+            nav["v_n"],
+            gravity(nav["llh"][0], nav["llh"][2]),
+            density * m["Q_f"],
+            density * m["Q_w"],
+            p.accelerometer_bias_walk,
+            p.gyroscope_bias_walk,
+            seconds,
+        )
+        rows, n = now.measured, now.H.shape[1]
+        H, likelihoods = now.H[rows], np.empty(LEVELS.size)
+        of_bank = np.zeros((len(H), SIZE))
+        of_bank[:, VELOCITY] = H[:, VELOCITY]
+        usable = bank.correct(
+            m["errors"],
+            m["P"],
+            m["factor"],
+            of_bank,
+            now.innovation[rows],
+            np.ascontiguousarray(now.S[np.ix_(rows, rows)]),
+            H @ nav["P"][:n, :n] @ H.T,
+            likelihoods,
+        )
+        if not usable:
+            m["begin_ns"] = m["ping_ns"] = NEVER
+        elif teaches and stamp_ns - int(m["begin_ns"]) >= SETTLING * NS:
+            m["probabilities"] = bank.learned(m["probabilities"], likelihoods, seconds)
+            m["factor"] = bank.mean(m["probabilities"])
+
+    def corrected(self, s: State, stamp_ns: int, before: State) -> None:
+        """The filter was corrected by that ping: the bank's estimates are relative to the new one.
+
+        Args:
+            s: State, corrected.
+            stamp_ns: Of the ping.
+            before: The group ``nav`` before that.
+        """
+        m, nav = s[GROUP], s["nav"]
+        if m["begin_ns"] == NEVER:
+            self._begin(s, stamp_ns)
+        else:
+            turned = nav["C_n_b"] @ before["C_n_b"].T
+            m["errors"][:, VELOCITY] -= nav["v_n"] - turned @ before["v_n"]
+            m["errors"][:, ATTITUDE] -= vector_from_rotation(turned)
+            m["errors"][:, ACCELEROMETER_BIAS] -= nav["b_f"] - before["b_f"]
+            m["errors"][:, GYROSCOPE_BIAS] -= nav["b_w"] - before["b_w"]
+        m["ping_ns"] = stamp_ns
+        self._scale(s)
+
+    def _begin(self, s: State, stamp_ns: int) -> None:
+        """All levels begin with the filter's estimate and covariance."""
+        m, nav, n = s[GROUP], s["nav"], self._vehicle.n
+        of_body = body_velocity_jacobian(
+            nav["C_n_b"], nav["v_n"], invariant=self._vehicle.invariant, n=n
+        )
+        J = np.eye(SIZE, n)
+        J[VELOCITY] = nav["C_n_b"] @ of_body
+        m["errors"] = 0.0
+        m["P"] = J @ nav["P"][:n, :n] @ J.T
+        m["begin_ns"] = stamp_ns
