@@ -12,7 +12,6 @@ Derivation: docs/explanation/process-noise-factor.md.
 
 import numpy as np
 
-from insdvl.arrays import Array
 from insdvl.navigation.coordinates import body_velocity_jacobian
 from insdvl.navigation.error_state import ACCELEROMETER_BIAS, ATTITUDE, GYROSCOPE_BIAS, VELOCITY
 from insdvl.navigation.events import NS

@@ -89,8 +89,8 @@ class ProcessNoiseParameters:
 
     adaptive_factor: bool = parameter(
         False,
-        "Whether a common factor on Q, 1/16 to 16, is learned from the innovations of the velocity; "
-        "the floors and ceilings hold for the product. Not beside the source 'adaptive'.",
+        "Whether a common factor on Q, 1/16 to 16, is learned from the innovations of the "
+        "velocity; the floors and ceilings hold for the product. Not beside the source 'adaptive'.",
     )
 
     def __post_init__(self) -> None:

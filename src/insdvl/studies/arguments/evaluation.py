@@ -32,6 +32,7 @@ ROWS = (
     "hcf paper",
     "hcf default",
     "bands",
+    "bands with factor",
     "best constant",
     "best constant for SRMSE",
     "closed form",
@@ -54,6 +55,8 @@ R_ROWS = (
     "R oracle",
     "bands with R adaptive",
     "bands with R adaptive and DVL error",
+    "bands with factor and R adaptive",
+    "bands with factor and R adaptive and DVL error",
 )
 ERROR_STATES = ("invariant", "ned")
 MIN_DURATION, DURATION = 10, 330  # s

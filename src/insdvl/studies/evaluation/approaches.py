@@ -61,6 +61,8 @@ LEARNED = {
 }
 #: The row of the model that was learned from vehicles, and its name.
 BANDS = "bands"
+#: The same, with a factor that the innovations tell.
+BANDS_WITH_FACTOR = "bands with factor"
 #: The row whose vehicle has taught itself on other missions; not among `ROWS`, for it takes long.
 TAUGHT = "taught"
 CLOSED_FORM = "closed form"
@@ -97,6 +99,7 @@ ROWS = (
     "hcf paper",
     "hcf default",
     BANDS,
+    BANDS_WITH_FACTOR,
     BEST_CONSTANT,
     BEST_CONSTANT_SRMSE,
     CLOSED_FORM,
@@ -109,11 +112,14 @@ ROWS = (
     PERFECT_HEADING,
 )
 #: Rows that differ in the noise of the DVL alone, by its source; they are told the effective Q, but
-#: for the two whose Q and R are both learned. The last of them has states for the DVL's slow error.
+#: for those whose Q and R are both learned. Of these, two have states for the DVL's slow error, and
+#: two the factor.
 R_NOMINAL, R_ORACLE = "R nominal", "R oracle"
 BANDS_WITH_R = "bands with R adaptive"
 BANDS_WITH_ERROR = "bands with R adaptive and DVL error"
-WITH_R = (BANDS_WITH_R, BANDS_WITH_ERROR)
+FACTOR_WITH_R = "bands with factor and R adaptive"
+FACTOR_WITH_ERROR = "bands with factor and R adaptive and DVL error"
+WITH_R = (BANDS_WITH_R, BANDS_WITH_ERROR, FACTOR_WITH_R, FACTOR_WITH_ERROR)
 R_SOURCES = {
     R_NOMINAL: "nominal",
     "R adaptive": "adaptive",
@@ -121,13 +127,13 @@ R_SOURCES = {
     "R adaptive received": "adaptive",
     "R learned received": "learned",
     R_ORACLE: "nominal",
-    BANDS_WITH_R: "adaptive",
-    BANDS_WITH_ERROR: "adaptive",
+    **dict.fromkeys(WITH_R, "adaptive"),
 }
 #: Those of them that also receive what the tuner learns from the pings.
 R_RECEIVED = ("R adaptive received", "R learned received")
-#: Slow error of the DVL that `BANDS_WITH_ERROR` is told: sigma over that of the data sheet's white
-#: noise, and time constant [s]. It is the middle of what `realistic` draws for a vehicle.
+#: Slow error of the DVL that the rows with states for it are told: sigma over that of the data
+#: sheet's white noise, and time constant [s]. It is the middle of what `realistic` draws for a
+#: vehicle.
 _SLOW_ERROR, _SLOW_ERROR_TIME = 0.3, 12.0
 #: Rows that need no filter of their own: they follow from the truth and the result of the oracle.
 FLOORS = (ZERO_VELOCITY, PERFECT_HEADING)
@@ -233,9 +239,10 @@ def approach(name: str, setting: Setting) -> Approach:
     if name in _FLOORED:
         return _adaptive(name, setting, FIRST, _FLOORED[name], "floored")
     if name in R_SOURCES:
-        parameters = setting.filter(source="oracle")
+        factor = name in (FACTOR_WITH_R, FACTOR_WITH_ERROR)
+        parameters = setting.filter(source="oracle", adaptive_factor=factor)
         dvl = replace(parameters.dvl, noise_source=R_SOURCES[name])
-        if name == BANDS_WITH_ERROR:
+        if name in (BANDS_WITH_ERROR, FACTOR_WITH_ERROR):
             dvl = replace(
                 dvl,
                 bias_model="gauss_markov",
@@ -246,6 +253,8 @@ def approach(name: str, setting: Setting) -> Approach:
         source = BANDS if name in WITH_R else ORACLE
         received = name in R_RECEIVED
         return Approach(name, parameters, source, name == R_ORACLE, setting.q_factor, received)
+    if name == BANDS_WITH_FACTOR:
+        return Approach(name, setting.filter(source="external", adaptive_factor=True), BANDS)
     source = "oracle" if name == ORACLE else "external"
     return Approach(name, setting.filter(source=source), name, told_r=name == ORACLE)
 
@@ -335,7 +344,7 @@ def model_of(row: str) -> str | None:
     """Name or path of the model of a row; None where the row has none."""
     if row.startswith(OWN_MODEL):
         return row.removeprefix(OWN_MODEL)
-    return BANDS if row in (BANDS, BANDS_WITH_R) else LEARNED.get(row)
+    return BANDS if row in (BANDS, BANDS_WITH_FACTOR, *WITH_R) else LEARNED.get(row)
 
 
 @cache

@@ -20,6 +20,7 @@ with extra("plot"):
 _ROWS = {
     "hcf default": ("learned", "#0072b2"),
     "bands": ("learned from spectra", "#56b4e9"),
+    "bands with factor": ("and a factor that the DVL tells", "#000000"),
     "closed form": ("closed form, the variance of a window", "#009e73"),
     "adaptive variational": ("variational Bayes, from innovations", "#cc79a7"),
     "best constant": ("best constant", "#e69f00"),

@@ -90,9 +90,10 @@ class Settings:
             )
         return self._with(noise, gate)
 
-    def external(self, *, gate: bool = False) -> FilterParameters:
-        """The filter with received process noise."""
-        return self._with(replace(self.filter.process_noise, source="external"), gate)
+    def external(self, *, gate: bool = False, factor: bool = False) -> FilterParameters:
+        """The filter with received process noise, and with a factor on it that it learns."""
+        noise = self.filter.process_noise
+        return self._with(replace(noise, source="external", adaptive_factor=factor), gate)
 
     def _with(self, noise: ProcessNoiseParameters, gate: bool) -> FilterParameters:
         return replace(

@@ -21,6 +21,7 @@ from insdvl.arrays import Array, Stamps
 from insdvl.navigation.events import NS, ProcessNoise
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.recordings.base import BagError
+from insdvl.studies.evaluation.approaches import BANDS, BANDS_WITH_FACTOR
 from insdvl.studies.replay.inputs.injection import Injection, announcements
 from insdvl.studies.replay.scores import errors_of
 from insdvl.studies.results.recordings import Recording, Settings, stream_axes
@@ -177,6 +178,9 @@ def all_rows(shared: Shared, task: NoisyRun) -> dict[str, Array]:
         filters: list[tuple[str, FilterParameters, Received | None]] = [
             (row, settings.external(gate=gate), q) for row, q in received.items()
         ]
+        if BANDS in received:
+            with_factor = settings.external(gate=gate, factor=True)
+            filters.append((BANDS_WITH_FACTOR, with_factor, received[BANDS]))
         filters += [(row, settings.constant(q, gate=gate), None) for row, q in constants.items()]
         for row, parameters, process_noise in filters:
             result = filtered(settings, recording, samples, parameters, process_noise)

@@ -20,6 +20,7 @@ from insdvl.jobs.store import Store
 from insdvl.jobs.tasks import Result
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
+from insdvl.studies.evaluation.approaches import BANDS_WITH_FACTOR
 from insdvl.studies.judgement.withheld import WINDOWS, predictions
 from insdvl.studies.replay.scores import errors_of
 from insdvl.studies.replay.taken import Taken
@@ -40,6 +41,8 @@ REFUSED = "refused"
 ANSWERS = (BANDS, CONSTANT, REFUSED)
 #: Of a row whose process noise may be below the floors of the configuration.
 FREE = ", no floor"
+#: The rows that have another such, since what they learn of the level may be below the floors.
+_ALSO_FREE = (TAUGHT, TAUGHT_CONSTANT, BANDS_WITH_FACTOR)
 #: The floors [(m/s^2)^2, (rad/s)^2] in their place.
 _NO_FLOOR = 1e-12, 1e-15
 _LIMITS = " limits"  # of a row's array
@@ -167,19 +170,16 @@ def scored_rows(shared: Shared, name: str) -> Result:
         if u.report.measurement == Dvl.name and u.report.corrected
     }
     rows = {HAND_SET: _numbers(settings, recording, hand_set, None, used)}
-    for row, model in shared.models[name].items():
+    for model_row, model in shared.models[name].items():
         received = tuned_by_model(recording.stamps_ns, recording.samples, model, settings.tuner)
-        external = settings.external(gate=True)
-        rows[row] = _numbers(settings, recording, external, received, used)
-        if row in (TAUGHT, TAUGHT_CONSTANT):
-            f, w = _NO_FLOOR
-            noise = replace(
-                external.process_noise,
-                accelerometer_floor=f,
-                gyroscope_floor=w,
-            )
-            free = replace(external, process_noise=noise)
-            rows[row + FREE] = _numbers(settings, recording, free, received, used)
+        for row in (model_row, BANDS_WITH_FACTOR) if model_row == BANDS else (model_row,):
+            external = settings.external(gate=True, factor=row == BANDS_WITH_FACTOR)
+            rows[row] = _numbers(settings, recording, external, received, used)
+            if row in _ALSO_FREE:
+                f, w = _NO_FLOOR
+                noise = replace(external.process_noise, accelerometer_floor=f, gyroscope_floor=w)
+                free = replace(external, process_noise=noise)
+                rows[row + FREE] = _numbers(settings, recording, free, received, used)
     return rows
 
 
