@@ -145,7 +145,7 @@ class Filter:
         state = LAYOUT.empty()
         self.process_noise.start(state[0])
         if self._factor is not None:
-            self._factor.told(state[0])
+            self._factor.start(state[0])
         self.start.locate_from_parameters(state[0])
         return state
 

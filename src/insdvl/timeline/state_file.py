@@ -23,7 +23,7 @@ from insdvl.navigation.settings import differences
 from insdvl.navigation.state import COVARIANCE, NEVER, NUMBER, STAMP, Field, State, part
 from insdvl.parameters.declaration import changed, flatten
 
-FORMAT = "insdvl state 8"
+FORMAT = "insdvl state 9"
 #: The line of JSON is no longer than this [bytes].
 MAX_HEADER = 65_536
 

@@ -28,28 +28,37 @@ LEVELS = 2.0 ** np.arange(-4.0, 5.0)
 #: Spread of the logarithm of the factor before anything is learned: within a factor of two of the
 #: told Q in two cases of three.
 SPREAD = 0.7
-#: Mean time [s] until the factor of a vehicle becomes another one, drawn anew.
-STAY = 1800.0
-PRIOR = np.exp(-0.5 * (np.log(LEVELS) / SPREAD) ** 2)
-PRIOR /= PRIOR.sum()
+#: Time [s] in which what was learned loses its weight to 1 / e.
+MEMORY = 600.0
+_PRIOR = -0.5 * (np.log(LEVELS) / SPREAD) ** 2
+_STEP = np.log(LEVELS[1] / LEVELS[0])
 
 # First elements of the blocks, for the kernels.
 _V, _A, _F, _W = VELOCITY.start, ATTITUDE.start, ACCELEROMETER_BIAS.start, GYROSCOPE_BIAS.start
 
 
-def mean(probabilities: Array) -> float:
-    """The factor whose root is the mean of the roots: the mean standard deviation."""
-    return float(probabilities @ np.sqrt(LEVELS)) ** 2
+def learned(sums: Array, likelihoods: Array, seconds: float) -> Array:
+    """Sums of log likelihoods (L,), the largest 0, after a time [s] and an innovation of (L,)."""
+    after = sums * np.exp(-seconds / MEMORY) + likelihoods
+    return after - after.max()
 
 
-def learned(probabilities: Array, likelihoods: Array, seconds: float) -> Array:
-    """The probabilities (L,) after a time [s] and an innovation of log likelihoods (L,)."""
-    jump = 1.0 - np.exp(-seconds / STAY)
-    before = (1.0 - jump) * probabilities + jump * PRIOR
-    after = before * np.exp(likelihoods - likelihoods.max())
-    total = after.sum()
-    # All that was believed may be so improbable now that nothing is left of it.
-    return after / total if total > 0.0 else PRIOR
+def mean_factor(sums: Array) -> float:
+    """The factor with the mean standard deviation, by sums of log likelihoods (L,).
+
+    Of a factor that is too small a filter suffers more than of one that is too large, so where many
+    are possible it is above the most probable one. The logarithm of the probability is a parabola
+    over that of the factor, near its maximum; it is taken through the best level and its
+    neighbours. At the ends it is the level.
+    """
+    logarithm = sums + _PRIOR
+    k = int(np.argmax(logarithm))
+    if k in (0, LEVELS.size - 1):
+        return float(LEVELS[k])
+    below, best, above = logarithm[k - 1 : k + 2]
+    curvature = below - 2.0 * best + above
+    offset, variance = 0.5 * (below - above) / curvature, -1.0 / curvature
+    return float(LEVELS[k] * np.exp(_STEP * offset + _STEP**2 * variance / 4.0))
 
 
 @kernel

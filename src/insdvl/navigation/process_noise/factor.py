@@ -2,8 +2,8 @@
 
 What a source tells of Q, a constant or a tuner, may be off by a factor that stays for the whole
 mission: slow noise that hides below the motion, or motion that looks like slow noise. The pings
-know it. A bank of small filters has one for each level of the factor (bank.py); the innovations
-multiply the probability of each level by its likelihood, and the factor in effect is the mean.
+know it. A bank of small filters has one for each level of the factor (bank.py); the likelihoods of
+their innovations tell how probable each is, and that with the mean standard deviation is in effect.
 
 Only a ping that the gate takes as it is teaches, see `Filter.update`.
 
@@ -20,7 +20,7 @@ from insdvl.navigation.geometry.frames import vector_from_rotation
 from insdvl.navigation.kalman import Innovated
 from insdvl.navigation.measurements.base import Vehicle
 from insdvl.navigation.process_noise import bank
-from insdvl.navigation.process_noise.bank import LEVELS, PRIOR, SIZE
+from insdvl.navigation.process_noise.bank import LEVELS, SIZE
 from insdvl.navigation.process_noise.parameters import ProcessNoiseParameters
 from insdvl.navigation.process_noise.received import bounded
 from insdvl.navigation.state import COVARIANCE, NEVER, NUMBER, STAMP, Field, State
@@ -34,9 +34,8 @@ SETTLING = 10.0
 #: Name of the group of the state record.
 GROUP = "q_factor"
 FIELDS = (
-    # In effect; 0 in a state from a filter that did not estimate it
-    Field("factor", NUMBER),
-    Field("probabilities", NUMBER, (LEVELS.size,)),
+    Field("factor", NUMBER),  # in effect
+    Field("likelihoods", NUMBER, (LEVELS.size,)),  # logarithms, see bank.py
     # Q without the factor, base_link axes, and its stamp
     Field("Q_f", COVARIANCE, (3, 3)),
     Field("Q_w", COVARIANCE, (3, 3)),
@@ -61,14 +60,23 @@ class Factor:
         self._parameters = parameters
         self._vehicle = vehicle
 
+    def start(self, s: State) -> None:
+        """Nothing is learned of the Q in effect."""
+        s[GROUP]["factor"], s[GROUP]["likelihoods"] = 1.0, 0.0
+        self._take(s)
+
     def told(self, s: State) -> None:
         """A Q has taken the place of the one before; the factor goes on with it.
 
         A factor belongs to what it is on: between a received Q and the nominal one it starts anew.
         """
+        if (s[GROUP]["told_ns"] == NEVER) != (s["noise"]["q_ns"] == NEVER):
+            self.start(s)
+        else:
+            self._take(s)
+
+    def _take(self, s: State) -> None:
         m, noise = s[GROUP], s["noise"]
-        if m["factor"] == 0.0 or (m["told_ns"] == NEVER) != (noise["q_ns"] == NEVER):
-            m["factor"], m["probabilities"] = 1.0, PRIOR
         m["Q_f"], m["Q_w"], m["told_ns"] = noise["Q_f"], noise["Q_w"], noise["q_ns"]
         self._scale(s)
 
@@ -131,8 +139,8 @@ class Factor:
         if not usable:
             m["begin_ns"] = m["ping_ns"] = NEVER
         elif teaches and stamp_ns - int(m["begin_ns"]) >= SETTLING * NS:
-            m["probabilities"] = bank.learned(m["probabilities"], likelihoods, seconds)
-            m["factor"] = bank.mean(m["probabilities"])
+            m["likelihoods"] = bank.learned(m["likelihoods"], likelihoods, seconds)
+            m["factor"] = bank.mean_factor(m["likelihoods"])
 
     def corrected(self, s: State, stamp_ns: int, before: State) -> None:
         """The filter was corrected by that ping: the bank's estimates are relative to the new one.

@@ -1,0 +1,322 @@
+"""The factor on Q that the innovations tell, and the bank of filters behind it."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from insdvl.arrays import Array
+from insdvl.navigation import kalman
+from insdvl.navigation.events import NS, Event, Imu, ProcessNoise
+from insdvl.navigation.geometry.rotation import cross_matrix
+from insdvl.navigation.measurements.dvl import Dvl
+from insdvl.navigation.parameters import FilterParameters
+from insdvl.navigation.process_noise import bank
+from insdvl.navigation.process_noise.bank import LEVELS, SIZE
+from insdvl.parameters.declaration import ParameterError, build
+from insdvl.studies.evaluation.approaches import Setting
+from insdvl.studies.evaluation.monte_carlo import TUNING, Run, Study
+from insdvl.timeline.fold import Fold
+from insdvl.timeline.output import FoldResult
+
+SEED = 11
+
+
+@pytest.fixture(scope="module")
+def run() -> Run:
+    return Run(Study("constant", SEED), TUNING, 0)  # white, 0.01 and 0.001
+
+
+def told(run: Run, factor: float, **noise: Any) -> FoldResult:
+    """The mission through a filter that receives the true variances times a factor."""
+    stamps_ns, q = run.mission.process_noise()
+    parameters = Setting("calibrated").filter(source="external", **noise)
+    return run.fold_received(parameters, stamps_ns, factor * q)
+
+
+def log_likelihood(fold: FoldResult, first: int) -> float:
+    total = 0.0
+    for update in fold.updates[first:]:
+        nu, S = update.report.innovation, update.report.S
+        total -= 0.5 * (nu @ np.linalg.solve(S, nu) + np.linalg.slogdet(S)[1])
+    return total
+
+
+# ---------------------------------------------------------------- the bank
+
+
+def random_motion(rng: np.random.Generator) -> dict[str, Any]:
+    C, _ = np.linalg.qr(rng.standard_normal((3, 3)))
+    A, B = rng.standard_normal((2, 3, 3))
+    return {
+        "C_n_b": C * np.linalg.det(C),
+        "v_n": rng.standard_normal(3),
+        "g": 9.8,
+        "S_f": 1e-3 * A @ A.T,
+        "S_w": 1e-5 * B @ B.T,
+        "walk_f": 1e-6,
+        "walk_w": 1e-9,
+    }
+
+
+def test_its_prediction_is_that_of_the_continuous_error_dynamics() -> None:
+    """Van Loan's integral of F and G of the docstring; Phi is exact, Q but for the bias walks."""
+    motion, t = random_motion(np.random.default_rng(SEED)), 0.7
+    C, v_x, g_x = motion["C_n_b"], cross_matrix(motion["v_n"]), cross_matrix(np.array([0, 0, 9.8]))
+    F, G = np.zeros((SIZE, SIZE)), np.zeros((SIZE, 6))
+    F[:3, 3:6], F[:3, 6:9], F[:3, 9:], F[3:6, 9:] = g_x, -C, -v_x @ C, -C
+    G[:3, :3], G[:3, 3:], G[3:6, 3:] = C, v_x @ C, C
+    density = np.zeros((6, 6))
+    density[:3, :3], density[3:, 3:] = motion["S_f"], motion["S_w"]
+    van_loan = np.zeros((2 * SIZE, 2 * SIZE))
+    van_loan[:SIZE, :SIZE], van_loan[:SIZE, SIZE:] = -F, G @ density @ G.T
+    van_loan[SIZE:, SIZE:] = F.T
+    big = expm(van_loan * t)
+    Phi = big[SIZE:, SIZE:].T
+    Q = Phi @ big[:SIZE, SIZE:]
+    walks = t * np.diag([0.0] * 6 + [1e-6] * 3 + [1e-9] * 3)
+
+    rng = np.random.default_rng(SEED)
+    errors, A = rng.standard_normal((LEVELS.size, SIZE)), rng.standard_normal((SIZE, SIZE))
+    P = np.tile(A @ A.T, (LEVELS.size, 1, 1))
+    expected = errors @ Phi.T, Phi @ P @ Phi.T + LEVELS[:, None, None] * Q + walks
+    bank.advance(errors, P, **motion, seconds=t)
+    np.testing.assert_allclose(errors, expected[0], rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(P, expected[1], rtol=1e-11, atol=1e-11)
+
+
+def test_its_correction_is_that_of_kalman_filters() -> None:
+    """With what the filter has beside the twelve states as noise of the ping."""
+    rng = np.random.default_rng(SEED)
+    errors = 0.01 * rng.standard_normal((LEVELS.size, SIZE))
+    A = 0.1 * rng.standard_normal((LEVELS.size, SIZE, SIZE))
+    P = A @ np.swapaxes(A, 1, 2)
+    H = np.zeros((3, SIZE))
+    H[:, :3], _ = np.linalg.qr(rng.standard_normal((3, 3)))
+    R, beside = 0.01 * np.eye(3), np.diag([0.004, 0.002, 0.001])
+    now = 5  # the level in effect
+    M = H @ P[now] @ H.T + beside
+    innovation = 0.1 * rng.standard_normal(3)
+    expected = []
+    for error, covariance in zip(errors, P, strict=True):
+        nu = innovation - H @ error
+        one = kalman.innovate(covariance, nu, H, R + beside)
+        expected.append(
+            (
+                error + one.K @ nu,
+                covariance - one.K @ one.S @ one.K.T,
+                -0.5 * (one.nis + np.linalg.slogdet(one.S)[1]),
+            )
+        )
+    likelihoods = np.empty(LEVELS.size)
+    assert bank.correct(errors, P, LEVELS[now], H, innovation, M + R, M, likelihoods)
+    for k, (error, covariance, likelihood) in enumerate(expected):
+        np.testing.assert_allclose(errors[k], error, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(P[k], covariance, rtol=1e-9, atol=1e-12)
+        assert likelihoods[k] == pytest.approx(likelihood, rel=1e-9)
+
+
+def test_a_filter_that_knows_more_than_the_bank_does_not_make_noise_negative() -> None:
+    """As after a fix of the position: M is less than the bank's, and R stays what it is."""
+    P = np.tile(np.eye(SIZE), (LEVELS.size, 1, 1))
+    errors, likelihoods = np.zeros((LEVELS.size, SIZE)), np.empty(LEVELS.size)
+    H, R = np.eye(3, SIZE), 0.01 * np.eye(3)
+    M = 1e-6 * np.eye(3)
+    assert bank.correct(errors, P, 1.0, H, np.zeros(3), M + R, M, likelihoods)
+    np.testing.assert_allclose(likelihoods, -1.5 * np.log(1.01), rtol=1e-12)
+
+
+@pytest.mark.parametrize("factor", [0.1, 0.7, 1.0, 3.1, 11.0])
+def test_between_the_levels_it_is_where_the_likelihood_is_largest(factor: float) -> None:
+    """Of likelihoods that leave nothing of the prior."""
+    sums = -0.5 * ((np.log(LEVELS) - np.log(factor)) / 1e-3) ** 2
+    assert bank.mean_factor(sums) == pytest.approx(factor, rel=1e-5)
+
+
+@pytest.mark.parametrize(("slope", "end"), [(1e3, 16.0), (-1e3, 1.0 / 16.0)])
+def test_beyond_the_levels_it_is_the_last_one(slope: float, end: float) -> None:
+    assert bank.mean_factor(slope * np.log(LEVELS)) == end
+
+
+def test_it_has_the_mean_standard_deviation_of_prior_and_likelihood() -> None:
+    """Two normal distributions of the logarithm, by Bayes' rule, and samples of the posterior."""
+    sums = -0.5 * ((np.log(LEVELS) - np.log(4.0)) / 0.5) ** 2
+    precision = 1.0 / bank.SPREAD**2 + 1.0 / 0.5**2
+    mean, std = np.log(4.0) / 0.5**2 / precision, precision**-0.5
+    drawn = np.exp(0.5 * np.random.default_rng(SEED).normal(mean, std, 1_000_000))
+    assert bank.mean_factor(sums) == pytest.approx(drawn.mean() ** 2, rel=2e-3)
+
+
+def test_what_was_learned_loses_its_weight() -> None:
+    rng = np.random.default_rng(SEED)
+    before, new = rng.standard_normal((2, LEVELS.size))
+    after = bank.learned(before, new, bank.MEMORY * np.log(2.0))
+    assert after.max() == 0.0
+    np.testing.assert_allclose(np.diff(after), np.diff(before / 2.0 + new), atol=1e-12)
+
+
+# ---------------------------------------------------------------- the filter
+
+
+@pytest.mark.parametrize("error_state", ["invariant", "ned"])
+def test_its_likelihoods_are_those_of_whole_filters(
+    run: Run, error_state: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of each level against the told Q, over the mission: what a whole filter with it has."""
+    setting, (stamps_ns, q) = Setting("calibrated", error_state), run.mission.process_noise()
+    of_bank = np.zeros(LEVELS.size)
+
+    def only_add(sums: Array, likelihoods: Array, seconds: float) -> Array:
+        of_bank[:] += likelihoods
+        return sums
+
+    monkeypatch.setattr(bank, "learned", only_add)
+    fold = run.fold_received(setting.filter(source="external", adaptive_factor=True), stamps_ns, q)
+    first = next(
+        k
+        for k, update in enumerate(fold.updates)
+        if update.stamp_ns >= fold.updates[0].stamp_ns + 10 * NS
+    )
+    whole = np.array(
+        [
+            log_likelihood(
+                run.fold_received(setting.filter(source="external"), stamps_ns, level * q), first
+            )
+            for level in LEVELS
+        ]
+    )
+    one = int(np.flatnonzero(LEVELS == 1.0)[0])
+    whole, of_bank = whole - whole[one], of_bank - of_bank[one]
+    np.testing.assert_allclose(of_bank, whole, rtol=0.1, atol=1.0)
+
+
+@pytest.mark.parametrize("wrong", [1.0 / 12.0, 1.0, 12.0])
+def test_it_is_what_a_wrong_q_lacks(run: Run, wrong: float) -> None:
+    """Its own sigma at the end of this mission is below 0.1 in the logarithm."""
+    states = told(run, wrong, adaptive_factor=True).states
+    assert np.log(states["q_factor"]["factor"][-1] * wrong) == pytest.approx(0.0, abs=0.3)
+    variance = np.diagonal(states["noise"]["Q_f"][-1])
+    np.testing.assert_allclose(variance, states["q_factor"]["factor"][-1] * wrong * 0.01)
+
+
+def test_it_mends_a_constant(run: Run) -> None:
+    parameters = Setting("calibrated").filter((0.1, 0.01), adaptive_factor=True)
+    fold = run.fold_received(parameters, np.empty(0, np.int64), np.empty((0, 6)))
+    assert fold.states["q_factor"]["factor"][-1] == pytest.approx(0.1, rel=0.35)
+
+
+def test_floor_and_ceiling_hold_for_the_product(run: Run) -> None:
+    floored = told(run, 10.0, adaptive_factor=True, accelerometer_floor=0.008).states
+    assert floored["q_factor"]["factor"][-1] == pytest.approx(0.1, rel=0.35)
+    assert np.diagonal(floored["noise"]["Q_f"], axis1=1, axis2=2).min() >= 0.008
+    capped = told(run, 0.1, adaptive_factor=True, gyroscope_ceiling=2e-3).states
+    assert np.diagonal(capped["noise"]["Q_w"], axis1=1, axis2=2).max() <= 2e-3
+
+
+def test_nothing_is_learned_of_pings_that_the_gate_refuses(run: Run) -> None:
+    """1 m/s off in one of twenty, in any direction, of a filter with the right Q."""
+    rng = np.random.default_rng(SEED)
+    mission, bad = run.mission, Run(Study("constant", SEED), TUNING, 0)
+    off = np.flatnonzero(rng.random(len(mission.v_d)) < 0.05)
+    v_d = mission.v_d.copy()
+    v_d[off] += rng.choice([-1.0, 1.0], (off.size, 3))
+    bad.mission = replace(mission, v_d=v_d)
+    stamps_ns, q = mission.process_noise()
+    parameters = Setting("calibrated", gate=True).filter(source="external", adaptive_factor=True)
+    fold = bad.fold_received(parameters, stamps_ns, q)
+    refused = [u for u in fold.updates if not u.report.accepted]
+    assert len(refused) >= off.size - 2
+    assert fold.states["q_factor"]["factor"][-1] == pytest.approx(1.0, abs=0.3)
+
+
+def test_beside_a_source_that_adapts_it_is_refused() -> None:
+    with pytest.raises(ParameterError, match=r"process_noise\.adaptive_factor.*'adaptive'"):
+        build(
+            FilterParameters,
+            {"process_noise.source": "adaptive", "process_noise.adaptive_factor": True},
+        )
+
+
+# ---------------------------------------------------------------- times
+
+
+def events_of(run: Run, seconds: float, silent: tuple[float, float] = (0.0, 0.0)) -> list[Event]:
+    """The begin of the mission, without the pings of a time, told ten times Q until then."""
+    m = run.mission
+    stamps_ns, q = m.process_noise()
+    begin, end = (m.start_ns + s * NS for s in silent)
+    events: list[Event] = [run._initial]
+    events += [
+        ProcessNoise(stamp_ns, 10.0 * np.diag(one[:3]), 10.0 * np.diag(one[3:]))
+        for stamp_ns, one in zip(stamps_ns.tolist(), q, strict=True)
+    ]
+    events += [
+        Dvl(stamp_ns, v_d)
+        for stamp_ns, v_d in zip(m.dvl_stamps_ns.tolist(), m.v_d, strict=True)
+        if not begin < stamp_ns <= end
+    ]
+    samples = zip(m.stamps_ns.tolist(), m.f_b, m.w_ib_b, strict=True)
+    events += [Imu(stamp_ns, f_b, w_ib_b) for stamp_ns, f_b, w_ib_b in samples]
+    last_ns = m.start_ns + round(seconds * NS)
+    return sorted((e for e in events if e.stamp_ns <= last_ns), key=lambda e: e.stamp_ns)
+
+
+def state_after(events: list[Event], **values: Any) -> Any:
+    """The last state of a filter that learns the factor."""
+    parameters = Setting("calibrated").filter(source="external", adaptive_factor=True)
+    fold = Fold(replace(parameters, **values))
+    for event in events:
+        fold.add(event)
+    fold.take()
+    latest = fold.latest
+    assert latest is not None
+    return latest
+
+
+def test_a_sensor_of_one_axis_tells_it(run: Run) -> None:
+    """As the wheels of a car: nothing is known of the other axes."""
+    events = [
+        replace(e, v_d=e.v_d * [1.0, 0.0, 0.0], measured=(True, False, False))
+        if isinstance(e, Dvl)
+        else e
+        for e in events_of(run, 330.0)
+    ]
+    assert state_after(events)["q_factor"]["factor"] == pytest.approx(0.1, rel=0.5)
+
+
+def test_a_late_ping_leaves_the_same_bits(run: Run) -> None:
+    in_order = events_of(run, 40.0)
+    late, waiting = [], []
+    for event in in_order:
+        if isinstance(event, Dvl):
+            waiting.append(event)
+            continue
+        late.append(event)
+        if waiting and event.stamp_ns > waiting[0].stamp_ns + NS // 20:
+            late.append(waiting.pop(0))
+    late += waiting
+    expected = state_after(in_order, output_delay=0.2)["q_factor"]
+    assert expected["factor"] < 0.7
+    assert state_after(late, output_delay=0.2)["q_factor"].tobytes() == expected.tobytes()
+
+
+def test_a_pause_of_the_pings_leaves_what_was_learned(run: Run) -> None:
+    before = state_after(events_of(run, 60.0))["q_factor"]["factor"]
+    after = state_after(events_of(run, 91.0, silent=(60.0, 90.0)))["q_factor"]
+    assert before < 0.5
+    assert after["factor"] == before
+    assert after["begin_ns"] == after["ping_ns"]  # the bank has begun again
+
+
+def test_a_q_that_has_timed_out_takes_its_factor_with_it(run: Run) -> None:
+    """The nominal Q of the configuration is another one; it starts at a factor of one."""
+    events = [e for e in events_of(run, 70.0) if not isinstance(e, ProcessNoise)]
+    told_once = ProcessNoise(run.mission.start_ns, 0.1 * np.eye(3), 0.01 * np.eye(3))
+    state = state_after([told_once, *events], q_timeout=60.0)
+    assert state["noise"]["q_ns"] < 0
+    assert state["q_factor"]["told_ns"] < 0
+    assert 0.5 < state["q_factor"]["factor"] < 2.0
+    in_time = state_after([told_once, *events], q_timeout=600.0)
+    assert in_time["q_factor"]["factor"] < 0.4
