@@ -229,6 +229,19 @@ def test_a_refused_message_is_told_once_with_what_to_do(
     assert statuses[cause].values[f"rejected {topic}: {reason}"] == 3
 
 
+def test_a_factor_at_the_end_of_its_range_is_told() -> None:
+    f = Filter(**{"process_noise.adaptive_factor": True})
+    f.samples(1, 21)
+    status = f.look()["process noise"]
+    assert status.level == OK and status.values["Q factor"] == "1"
+    state = f.fold.latest
+    assert state is not None
+    state["q_factor"]["factor"] = 16.0
+    status = f.look()["process noise"]
+    assert status.level == WARN
+    assert "factor on Q is 16, the largest that is possible" in status.message
+
+
 def test_every_counted_reason_has_a_remedy() -> None:
     assert {reason for _, reason, _ in REFUSALS} <= REMEDIES.keys()
     assert {*OF_TIME, *OF_FRAMES} <= REMEDIES.keys()

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from insdvl.arrays import Array
+from insdvl.navigation.process_noise import factor
 from insdvl.navigation.state import NEVER
 
 
@@ -17,6 +18,7 @@ class StateSummary(NamedTuple):
         process_noise_ns: Stamp of the received process noise, None while Q is nominal.
         sigma_f: Per-sample noise of the specific force (3,) [m/s^2].
         sigma_w: Per-sample noise of the angular rate (3,) [rad/s].
+        factor: On the process noise that is told, where the filter learns it.
     """
 
     time_ns: int
@@ -24,6 +26,7 @@ class StateSummary(NamedTuple):
     process_noise_ns: int | None
     sigma_f: Array
     sigma_w: Array
+    factor: float
 
 
 def summary(state: Any) -> StateSummary:
@@ -35,6 +38,7 @@ def summary(state: Any) -> StateSummary:
         process_noise_ns=_stamp(noise["q_ns"]),
         sigma_f=np.sqrt(np.diag(noise["Q_f"])),
         sigma_w=np.sqrt(np.diag(noise["Q_w"])),
+        factor=float(state[factor.GROUP]["factor"]),
     )
 
 

@@ -5,6 +5,7 @@ import numpy as np
 from insdvl.messages.topics import IMU, Q_TOPICS
 from insdvl.navigation.events import NS
 from insdvl.navigation.parameters import FilterParameters
+from insdvl.navigation.process_noise.bank import LEVELS
 from insdvl.timeline.fold import Fold
 from insdvl.watch.state_summary import StateSummary, summary
 from ros_insdvl.status.diagnostics import NOMINAL_Q, RECENT, WARN, Status, View, show_sigmas
@@ -16,6 +17,7 @@ class ProcessNoise(Cause):
 
     def __init__(self, parameters: FilterParameters, fold: Fold) -> None:
         self._source = parameters.process_noise.source
+        self._has_factor = parameters.process_noise.adaptive_factor
         self._timeout = parameters.q_timeout
         self._topic = Q_TOPICS.get(self._source)
         self._fold = fold
@@ -33,6 +35,8 @@ class ProcessNoise(Cause):
             noise = summary(state)
             show_sigmas(status, noise.sigma_f, noise.sigma_w)
             show_sigmas(status, *self._nominal, NOMINAL_Q)
+            if self._has_factor:
+                self._report_factor(status, noise.factor)
             if self._topic is not None or self._source == "message":
                 self._report_age(status, noise)
         if self._topic is not None:
@@ -52,6 +56,19 @@ class ProcessNoise(Cause):
                 )
         view.show_events(status, "q_timeouts", "floors", "ceilings")
         return status
+
+    @staticmethod
+    def _report_factor(status: Status, factor: float) -> None:
+        """Of the factor that the innovations tell."""
+        status.values["Q factor"] = f"{factor:.3g}"
+        low, high = LEVELS[0], LEVELS[-1]
+        if factor in (low, high):
+            status.complain(
+                WARN,
+                "factor",
+                f"the factor on Q is {factor:.3g}, the {'least' if factor == low else 'largest'} "
+                "that is possible: correct the process noise that is told, or dvl.noise_std",
+            )
 
     def _report_age(self, status: Status, noise: StateSummary) -> None:
         """Of a Q that is received."""

@@ -53,6 +53,8 @@ R_ROWS = (
     "R adaptive received",
     "R learned received",
     "R oracle",
+    "R nominal with factor",
+    "R adaptive with factor",
     "bands with R adaptive",
     "bands with R adaptive and DVL error",
     "bands with factor and R adaptive",

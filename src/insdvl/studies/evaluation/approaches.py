@@ -117,6 +117,8 @@ ROWS = (
 R_NOMINAL, R_ORACLE = "R nominal", "R oracle"
 BANDS_WITH_R = "bands with R adaptive"
 BANDS_WITH_ERROR = "bands with R adaptive and DVL error"
+#: Two whose filters learn a factor on the Q that they are told.
+R_NOMINAL_WITH_FACTOR, R_ADAPTIVE_WITH_FACTOR = "R nominal with factor", "R adaptive with factor"
 FACTOR_WITH_R = "bands with factor and R adaptive"
 FACTOR_WITH_ERROR = "bands with factor and R adaptive and DVL error"
 WITH_R = (BANDS_WITH_R, BANDS_WITH_ERROR, FACTOR_WITH_R, FACTOR_WITH_ERROR)
@@ -127,10 +129,14 @@ R_SOURCES = {
     "R adaptive received": "adaptive",
     "R learned received": "learned",
     R_ORACLE: "nominal",
+    R_NOMINAL_WITH_FACTOR: "nominal",
+    R_ADAPTIVE_WITH_FACTOR: "adaptive",
     **dict.fromkeys(WITH_R, "adaptive"),
 }
 #: Those of them that also receive what the tuner learns from the pings.
 R_RECEIVED = ("R adaptive received", "R learned received")
+#: Those of them with the factor.
+_FACTORED = (R_NOMINAL_WITH_FACTOR, R_ADAPTIVE_WITH_FACTOR, FACTOR_WITH_R, FACTOR_WITH_ERROR)
 #: Slow error of the DVL that the rows with states for it are told: sigma over that of the data
 #: sheet's white noise, and time constant [s]. It is the middle of what `realistic` draws for a
 #: vehicle.
@@ -239,7 +245,7 @@ def approach(name: str, setting: Setting) -> Approach:
     if name in _FLOORED:
         return _adaptive(name, setting, FIRST, _FLOORED[name], "floored")
     if name in R_SOURCES:
-        factor = name in (FACTOR_WITH_R, FACTOR_WITH_ERROR)
+        factor = name in _FACTORED
         parameters = setting.filter(source="oracle", adaptive_factor=factor)
         dvl = replace(parameters.dvl, noise_source=R_SOURCES[name])
         if name in (BANDS_WITH_ERROR, FACTOR_WITH_ERROR):
