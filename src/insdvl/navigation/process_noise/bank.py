@@ -23,6 +23,8 @@ from insdvl.navigation.geometry.rotation import product, product_transposed, ske
 #: Velocity [m/s] and attitude [rad], NED, and biases of accelerometers [m/s^2] and gyroscopes
 #: [rad/s], base_link axes.
 SIZE = 12
+#: Elements of a covariance in the state record: its lower triangle, row by row.
+PACKED = SIZE * (SIZE + 1) // 2
 #: The levels of the factor on Q.
 LEVELS = 2.0 ** np.arange(-4.0, 5.0)
 #: Spread of the logarithm of the factor before anything is learned: within a factor of two of the
@@ -49,16 +51,17 @@ def mean_factor(sums: Array) -> float:
     Of a factor that is too small a filter suffers more than of one that is too large, so where many
     are possible it is above the most probable one. The logarithm of the probability is a parabola
     over that of the factor, near its maximum; it is taken through the best level and its
-    neighbours. At the ends it is the level.
+    neighbours, at the ends through the last three. The result is within the levels.
     """
     logarithm = sums + _PRIOR
-    k = int(np.argmax(logarithm))
-    if k in (0, LEVELS.size - 1):
-        return float(LEVELS[k])
-    below, best, above = logarithm[k - 1 : k + 2]
-    curvature = below - 2.0 * best + above
-    offset, variance = 0.5 * (below - above) / curvature, -1.0 / curvature
-    return float(LEVELS[k] * np.exp(_STEP * offset + _STEP**2 * variance / 4.0))
+    best = int(np.argmax(logarithm))
+    middle = min(max(best, 1), LEVELS.size - 2)
+    below, at, above = logarithm[middle - 1 : middle + 2]
+    curvature = below - 2.0 * at + above
+    if not curvature < 0.0:
+        return float(LEVELS[best])
+    steps = 0.5 * (below - above) / curvature - _STEP / curvature / 4.0
+    return float(np.clip(LEVELS[middle] * np.exp(_STEP * steps), LEVELS[0], LEVELS[-1]))
 
 
 @kernel
@@ -81,7 +84,7 @@ def advance(
 
     Args:
         errors: (L, 12) estimates relative to the filter's.
-        P: (L, 12, 12) covariances.
+        P: (L, 78) covariances, packed.
         C_n_b: (3, 3) attitude.
         v_n: (3,) velocity [m/s].
         g: Gravity [m/s^2].
@@ -123,14 +126,37 @@ def advance(
     product_transposed(N, M, C_n_b)
     _add_with_transpose(Q, _V, _A, 0.5 * t * t, N)
 
+    full = np.empty((SIZE, SIZE))
     for level in range(LEVELS.size):
-        _to_next(errors[level], P[level], Phi)
+        unpack(full, P[level])
+        _to_next(errors[level], full, Phi)
         for i in range(_F):
             for j in range(_F):
-                P[level, i, j] += LEVELS[level] * Q[i, j]
+                full[i, j] += LEVELS[level] * Q[i, j]
         for i in range(3):
-            P[level, _F + i, _F + i] += t * walk_f
-            P[level, _W + i, _W + i] += t * walk_w
+            full[_F + i, _F + i] += t * walk_f
+            full[_W + i, _W + i] += t * walk_w
+        pack(P[level], full)
+
+
+@kernel
+def unpack(full: Array, packed: Array) -> None:
+    """full (12, 12) = the covariance whose lower triangle is packed (78,)."""
+    k = 0
+    for i in range(SIZE):
+        for j in range(i + 1):
+            full[i, j] = full[j, i] = packed[k]
+            k += 1
+
+
+@kernel
+def pack(packed: Array, full: Array) -> None:
+    """packed (78,) = the lower triangle of a covariance (12, 12)."""
+    k = 0
+    for i in range(SIZE):
+        for j in range(i + 1):
+            packed[k] = full[i, j]
+            k += 1
 
 
 @kernel
@@ -174,7 +200,7 @@ def correct(
 
     Args:
         errors: (L, 12) estimates relative to the filter's.
-        P: (L, 12, 12) covariances.
+        P: (L, 78) covariances, packed.
         factor: In effect in the filter.
         H: (m, 12) Jacobian of the ping.
         innovation: (m,) of the filter.
@@ -186,11 +212,15 @@ def correct(
     at = np.log(factor / LEVELS[0]) / np.log(LEVELS[1] / LEVELS[0])
     low = min(max(int(at), 0), levels - 2)
     # What the filter has beside the twelve states is noise of the ping, and never less than none.
-    beside = np.empty((m, m))
+    full, above, beside = np.empty((SIZE, SIZE)), np.empty((SIZE, SIZE)), np.empty((m, m))
+    unpack(full, P[low])
+    unpack(above, P[low + 1])
+    for i in range(SIZE):
+        for j in range(SIZE):
+            full[i, j] += (at - low) * (above[i, j] - full[i, j])
     for a in range(m):
         for b in range(m):
-            below, above = _of_error(P[low], H, a, b), _of_error(P[low + 1], H, a, b)
-            beside[a, b] = M[a, b] - below - (at - low) * (above - below)
+            beside[a, b] = M[a, b] - _of_error(full, H, a, b)
     values, axes = np.linalg.eigh(beside)
     R, S_i, K, nu = np.empty((m, m)), np.empty((m, m)), np.empty((SIZE, m)), np.empty(m)
     for a in range(m):
@@ -203,7 +233,8 @@ def correct(
             nu[a] = innovation[a]
             for i in range(SIZE):
                 nu[a] -= H[a, i] * errors[level, i]
-        nis = gain(P[level], H, R, nu, S_i, K)
+        unpack(full, P[level])
+        nis = gain(full, H, R, nu, S_i, K)
         if not np.isfinite(nis):
             return False
         likelihoods[level] = -0.5 * (nis + np.log(np.linalg.det(S_i)))
@@ -213,8 +244,8 @@ def correct(
             for j in range(i + 1):
                 for a in range(m):
                     for b in range(m):
-                        P[level, i, j] -= K[i, a] * S_i[a, b] * K[j, b]
-                P[level, j, i] = P[level, i, j]
+                        full[i, j] -= K[i, a] * S_i[a, b] * K[j, b]
+        pack(P[level], full)
     return True
 
 

@@ -20,7 +20,7 @@ from insdvl.navigation.geometry.frames import vector_from_rotation
 from insdvl.navigation.kalman import Innovated
 from insdvl.navigation.measurements.base import Vehicle
 from insdvl.navigation.process_noise import bank
-from insdvl.navigation.process_noise.bank import LEVELS, SIZE
+from insdvl.navigation.process_noise.bank import LEVELS, PACKED, SIZE
 from insdvl.navigation.process_noise.parameters import ProcessNoiseParameters
 from insdvl.navigation.process_noise.received import bounded
 from insdvl.navigation.state import COVARIANCE, NEVER, NUMBER, STAMP, Field, State
@@ -42,7 +42,7 @@ FIELDS = (
     Field("told_ns", STAMP),
     # The bank: estimates relative to the filter's, covariances, begin, and stamp of the last ping
     Field("errors", NUMBER, (LEVELS.size, SIZE)),
-    Field("P", NUMBER, (LEVELS.size, SIZE, SIZE)),
+    Field("P", NUMBER, (LEVELS.size, PACKED)),
     Field("begin_ns", STAMP),
     Field("ping_ns", STAMP),
 )
@@ -168,8 +168,9 @@ class Factor:
         of_body = body_velocity_jacobian(
             nav["C_n_b"], nav["v_n"], invariant=self._vehicle.invariant, n=n
         )
-        J = np.eye(SIZE, n)
+        J, packed = np.eye(SIZE, n), np.empty(PACKED)
         J[VELOCITY] = nav["C_n_b"] @ of_body
         m["errors"] = 0.0
-        m["P"] = J @ nav["P"][:n, :n] @ J.T
+        bank.pack(packed, J @ nav["P"][:n, :n] @ J.T)
+        m["P"] = packed
         m["begin_ns"] = stamp_ns
