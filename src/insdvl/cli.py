@@ -1,6 +1,5 @@
 """The command `insdvl`."""
 
-import os
 import sys
 from collections.abc import Sequence
 from pkgutil import resolve_name
@@ -9,6 +8,7 @@ from insdvl import __version__
 from insdvl.commands import (
     COMMANDS,
     INTERRUPTED,
+    READER_GONE,
     WRONG_CALL,
     nearest,
     overview,
@@ -16,10 +16,19 @@ from insdvl.commands import (
     summary,
 )
 from insdvl.extras import MissingPackageError
+from insdvl.pipe import ReaderGone, guarded
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; `Command.exit_codes` says what the exit code means."""
+    try:
+        with guarded():
+            return _main(arguments)
+    except ReaderGone:
+        return READER_GONE
+
+
+def _main(arguments: Sequence[str] | None) -> int:
     name, *rest = (sys.argv[1:] if arguments is None else list(arguments)) or [""]
     if not name:
         print(overview())
@@ -48,15 +57,10 @@ def _run(name: str, words: list[str]) -> int:
         if faults := list(parsed.faults(parsed)):
             print("\n".join(f"insdvl {name}: {fault}" for fault in faults), file=sys.stderr)
             return WRONG_CALL
-        code = int(resolve_name(command.run)(parsed))
-        sys.stdout.flush()
-        return code
+        return int(resolve_name(command.run)(parsed))
     except MissingPackageError as error:
         print(f"insdvl {name}: {error}", file=sys.stderr)
         return WRONG_CALL
-    except BrokenPipeError:  # the reader, such as head, has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
     except KeyboardInterrupt:
         kept = f"; {command.kept}" if command.kept else ""
         print(f"insdvl {name}: interrupted{kept}", file=sys.stderr)

@@ -14,7 +14,8 @@ from pkgutil import resolve_name
 from types import MappingProxyType
 from typing import Any, NoReturn
 
-WRONG_CALL, INTERRUPTED = 2, 130
+#: The last two are 128 and the signal, as shells have it: SIGINT, and SIGPIPE.
+WRONG_CALL, INTERRUPTED, READER_GONE = 2, 130, 141
 
 
 @dataclass(frozen=True)

@@ -292,7 +292,8 @@ class Start:
         over many blocks.
         """
         s, vehicle, parameters = state[0], self._vehicle, self._parameters
-        start, nav, is_automatic = s["start"], s["nav"], self._parameters.mode == "auto"
+        start, nav, mode = s["start"], s["nav"], parameters.mode
+        is_automatic = mode == "auto"
         if is_automatic:
             self._automatic.carry(s, sample)
         imu = s["channels"]
@@ -310,7 +311,8 @@ class Start:
         start["level_f"] += sample.f_b
         start["level_w"] += sample.w_ib_b
         start["level_count"] += 1
-        self._automatic.collect(s, sample)
+        if mode != "levelling":  # which judges no rest
+            self._automatic.collect(s, sample)
         duration = round(parameters.levelling_time * NS)
         if sample.stamp_ns - start["level_ns"] < duration:
             return False
@@ -329,7 +331,7 @@ class Start:
             initial, found = beginning.initial, beginning.attitude
             return self._begin(state, initial, sample.stamp_ns, sample.w_ib_b, found)
         undecided = start["compass"] == gyrocompass.UNDECIDED
-        if parameters.mode == "gyrocompassing" and undecided:
+        if mode == "gyrocompassing" and undecided:
             noise = noise_at_rest(window_of_block(s), self._noise(s))
             mean = np.concatenate([f_b, w_ib_b])
             gyrocompass.see_block(s, mean, count, noise, self._plan, sample.stamp_ns)

@@ -8,6 +8,7 @@ import numpy as np
 
 from insdvl.messages.topics import DEPTH
 from insdvl.navigation.geometry.frames import CONVENTIONS
+from insdvl.studies.check.bias import REST
 from insdvl.studies.check.findings import (
     AXES,
     FILTER,
@@ -23,7 +24,7 @@ from insdvl.studies.check.findings import (
     Finding,
     right_angles,
 )
-from insdvl.studies.check.inspection import Inspection
+from insdvl.studies.check.inspection import GYROSCOPE_BIAS, Inspection
 from insdvl.studies.check.stamps import StampFacts
 from insdvl.watch.alignment.check import FEWEST_WINDOWS
 
@@ -284,11 +285,25 @@ def _samples(seen: Inspection) -> Iterator[Finding]:
                 "Neighbouring samples differ by more than that: the vehicle vibrates. What is told "
                 "here is the noise at low frequencies.",
             )
+        yield from _bias(seen)
         settings = _noise(seen)
         if settings:
             yield _setting(
                 SAMPLES, "process_noise tells a sigma that is more than 3 times off.", settings
             )
+
+
+def _bias(seen: Inspection) -> Iterator[Finding]:
+    bias, told = seen.gyroscope_bias, seen.parameters.initial.gyroscope_bias_std
+    if bias is not None and (GYROSCOPE_BIAS in seen.found or bias.exceeds(told)):
+        text = (
+            f"The bias of the gyroscope is {bias.size:.2g} rad/s by {bias.source}, more than "
+            f"{GYROSCOPE_BIAS} tells"
+        )
+        if bias.is_usable:
+            yield _setting(SAMPLES, f"{text}.", {GYROSCOPE_BIAS: bias.rounded})
+        else:
+            yield _wrong(SAMPLES, f"{text}. With a speed along one axis it takes {REST}.")
 
 
 def _noise(seen: Inspection) -> dict[str, tuple[float, ...]]:

@@ -153,8 +153,17 @@ class ImuLog:
         self._high[i] = max(self._high[i], values.max())
         self._runs[i] = {v: n for v, n in runs.items() if v in (self._low[i], self._high[i])}
 
-    def facts(self) -> ImuFacts:
-        """What all samples have shown."""
+    def variance(self) -> Array:
+        """Variance (6,) of the noise of a sample, see `ImuFacts`."""
+        self._look()
+        return self._noise()[0]
+
+    def facts(self, gyroscope_bias_std: float) -> ImuFacts:
+        """What all samples have shown.
+
+        Args:
+            gyroscope_bias_std: One sigma by which a rest is judged [rad/s].
+        """
         self._look()
         counters = self._state[0]["counters"]
         variance, low_passed, shaken = self._noise()
@@ -178,7 +187,7 @@ class ImuLog:
             frozen=int(counters["frozen"]),
             glitches=int(counters["glitches"]),
             no_data=int(counters["no_data"]),
-            start=self._start(variance),
+            start=self._start(variance, gyroscope_bias_std),
         )
 
     def _noise(self) -> tuple[Array, bool, tuple[str, ...]]:
@@ -195,7 +204,7 @@ class ImuLog:
         names = tuple(name for name, is_shaken in zip(NAMES, shaken, strict=True) if is_shaken)
         return np.where(shaken, at_low, variance), False, names
 
-    def _start(self, variance: Array) -> Misfit | None:
+    def _start(self, variance: Array, gyroscope_bias_std: float) -> Misfit | None:
         """How far the first samples are from those of a vehicle at rest, as the filter judges."""
         p = self._parameters
         samples = np.array(self._first[: round(p.initial.levelling_time * p.imu.rate)])
@@ -207,7 +216,7 @@ class ImuLog:
             walk_f=p.process_noise.accelerometer_bias_walk,
             walk_w=p.process_noise.gyroscope_bias_walk,
             bias_f=p.initial.accelerometer_bias_std,
-            bias_w=p.initial.gyroscope_bias_std,
+            bias_w=gyroscope_bias_std,
             rate=p.imu.rate,
         )
         return misfit_to_rest(window_of(samples), np.zeros(6), noise, gravity(p.origin.place[0], 0))

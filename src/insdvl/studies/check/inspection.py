@@ -19,6 +19,7 @@ from insdvl.parameters.declaration import build, flatten
 from insdvl.recordings.bag_reader import BagReader, RecordedTopic
 from insdvl.recordings.base import Raw, decode, stamp_ns
 from insdvl.recordings.parameters import ReplayParameters
+from insdvl.studies.check.bias import BiasLog, GyroscopeBias
 from insdvl.studies.check.dvl import DvlFacts, DvlLog
 from insdvl.studies.check.heading import OrientationFacts, OrientationLog
 from insdvl.studies.check.imu import ImuFacts, ImuLog
@@ -30,6 +31,7 @@ from insdvl.watch.alignment.sentences import Remedy
 
 FIRST = 60 * NS  # of the recording, from which gravity tells the axes
 SHOWN = 5000  # messages between two reports of progress
+GYROSCOPE_BIAS = "initial.gyroscope_bias_std"
 NEAR = 0.02  # of a rate: nearer than this it is as declared
 
 
@@ -46,8 +48,9 @@ class Inspection:
         parameters: Of the filter, as the recording was judged: the defaults, or those that were
             given, and `found`.
         replay: Parameters that name the topics.
-        found: Parameters of the filter that gravity and rate tell.
+        found: Parameters of the filter that gravity, rate and the gyroscope's bias tell.
         imu: The samples; None without an IMU.
+        gyroscope_bias: What they show of it together with the DVL; None where that is nothing.
         dvl: The measurements; None without a DVL.
         orientation: Of the IMU.
         place: Latitude and longitude of the first fix [deg]; None without one.
@@ -66,6 +69,7 @@ class Inspection:
     replay: ReplayParameters
     found: dict[str, Any]
     imu: ImuFacts | None
+    gyroscope_bias: GyroscopeBias | None
     dvl: DvlFacts | None
     orientation: OrientationFacts | None
     place: tuple[float, float] | None
@@ -89,8 +93,8 @@ def inspect(
         bag: The recording.
         filter_: Parameters by which it is judged.
         replay: Parameters that name the topics; topics of other names are found by type.
-        adapt: Whether frame convention, mount and rate of the IMU are taken from the recording,
-            since nobody has told them.
+        adapt: Whether frame convention, mount, rate and a larger gyroscope bias of the IMU are
+            taken from the recording, since nobody has told them.
         show: Called now and then with the number of messages that were read.
 
     Raises:
@@ -99,7 +103,7 @@ def inspect(
     sensors = sensors_of(bag.topics, filter_, replay)
     found = _told_by_imu(bag, sensors, filter_) if adapt and sensors.imu else {}
     parameters = build(FilterParameters, flatten(filter_) | found)
-    return _Pass(bag, sensors, parameters).inspection(replay, found, show)
+    return _Pass(bag, sensors, parameters, adapt=adapt).inspection(replay, found, show)
 
 
 def _told_by_imu(bag: BagReader, sensors: Sensors, told: FilterParameters) -> dict[str, Any]:
@@ -146,8 +150,11 @@ def _first_samples(bag: BagReader, sensors: Sensors, parameters: FilterParameter
 class _Pass:
     """The pass over all messages with stamps."""
 
-    def __init__(self, bag: BagReader, sensors: Sensors, parameters: FilterParameters) -> None:
+    def __init__(
+        self, bag: BagReader, sensors: Sensors, parameters: FilterParameters, *, adapt: bool
+    ) -> None:
         self._bag, self._sensors, self._parameters = bag, sensors, parameters
+        self._adapt = adapt
         axes = CONVENTIONS[parameters.frame_convention]
         self._read = [n for n, t in bag.topics.items() if t.size and t.type in READ]
         self._headed = {n for n in self._read if begins_with_header(bag.topics[n].type)}
@@ -156,7 +163,8 @@ class _Pass:
         self._imu = ImuLog(parameters)
         self._dvl = DvlLog(parameters.dvl.max_speed, axes.body)
         self._orientation = OrientationLog(axes)
-        self._alignment = AlignmentCheck(parameters)
+        self._bias = BiasLog(parameters.imu.max_gap)
+        self._alignment = AlignmentCheck(parameters, thinks=False)
         self._place: tuple[float, float] | None = None
 
     def inspection(
@@ -172,8 +180,16 @@ class _Pass:
             if raw.topic in self._headed:
                 self._logs[raw.topic].add(stamp_ns(raw), raw.time_ns)
             self._look(raw)
-        self._alignment.finish()
         sensors, has_imu, has_dvl = self._sensors, bool(self._sensors.imu), bool(self._sensors.dvl)
+        dvl = self._dvl.facts() if has_dvl else None
+        bias = self._gyroscope_bias(dvl) if has_imu and dvl is not None else None
+        if bias is not None and bias.exceeds(self._bias_std):
+            self._alignment.take_off(bias.mean, bias.size)
+        if self._adapt and bias is not None and bias.is_usable and bias.exceeds(self._bias_std):
+            found = {**found, GYROSCOPE_BIAS: bias.rounded}
+            values = flatten(self._parameters) | {GYROSCOPE_BIAS: bias.rounded}
+            self._parameters = build(FilterParameters, values)
+        self._alignment.finish()
         longest = {sensors.imu: self._parameters.imu.max_gap}
         return Inspection(
             topics=dict(self._bag.topics),
@@ -184,8 +200,9 @@ class _Pass:
             parameters=self._parameters,
             replay=replay,
             found=found,
-            imu=self._imu.facts() if has_imu else None,
-            dvl=self._dvl.facts() if has_dvl else None,
+            imu=self._imu.facts(self._bias_std) if has_imu else None,
+            gyroscope_bias=bias,
+            dvl=dvl,
             orientation=self._orientation.facts() if has_imu else None,
             place=self._place,
             gravity=self._alignment.gravity,
@@ -193,6 +210,16 @@ class _Pass:
             windows=self._alignment.windows,
             ping_noise=self._alignment.ping_noise(),
         )
+
+    @property
+    def _bias_std(self) -> float:
+        return self._parameters.initial.gyroscope_bias_std
+
+    def _gyroscope_bias(self, dvl: DvlFacts) -> GyroscopeBias | None:
+        sigma = self._parameters.dvl.noise_floor
+        if dvl.scatter is not None:
+            sigma = max(sigma, float(np.nanmax(dvl.scatter)))
+        return self._bias.found(self._imu.variance(), sigma)
 
     def _look(self, raw: Raw) -> None:
         """Look at a message of a sensor."""
@@ -212,6 +239,7 @@ class _Pass:
             if isinstance(event, Imu):
                 self._newest_ns = event.stamp_ns
                 self._imu.add(event)
+                self._bias.add(event)
                 self._orientation.add(message, event.f_b)
                 self._alignment.add(event)
 
@@ -221,6 +249,7 @@ class _Pass:
         for event in self._events(decode(raw).message, row, self._dvl.refused):
             if isinstance(event, Dvl):
                 self._dvl.add(event)
+                self._bias.add_ping(event)
                 self._alignment.add(event)
                 if raw.topic not in self._headed:
                     self._logs[raw.topic].add(event.stamp_ns, raw.time_ns)

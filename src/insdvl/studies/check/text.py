@@ -95,6 +95,7 @@ def document_of(bag: str, seen: Inspection, found: Sequence[Finding]) -> dict[st
             for name, topic in seen.topics.items()
         },
         "imu": _numbers(seen.imu),
+        "gyroscope_bias": _numbers(seen.gyroscope_bias),
         "dvl": _numbers(seen.dvl),
         "orientation": _numbers(seen.orientation),
         "windows": seen.windows,

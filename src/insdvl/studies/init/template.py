@@ -8,9 +8,10 @@ import numpy as np
 
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.simulation.grades import GRADES, Grade
+from insdvl.studies.check.bias import REST
 from insdvl.studies.check.findings import FILTER, REPLAY, Finding, right_angles, settings_of
 from insdvl.studies.check.imu import NAMES
-from insdvl.studies.check.inspection import Inspection
+from insdvl.studies.check.inspection import GYROSCOPE_BIAS, Inspection
 from insdvl.studies.report.parameter_page import yaml_value
 
 #: Marks what a recording does not tell.
@@ -50,8 +51,9 @@ def parameter_lines(
     mended = settings.get(FILTER, {})
     lines = {line.name: line for line in _filter(seen)}
     for key, value in mended.items():
-        # What is filled in is told for each axis, or by the fix.
-        if not key.startswith("process_noise.") and key != "origin.latitude_deg":
+        # What is filled in is told for each axis, by the fix, or is at least that of the grade.
+        filled = key in ("origin.latitude_deg", GYROSCOPE_BIAS)
+        if not key.startswith("process_noise.") and not filled:
             why = f"{CHECK}: as `insdvl check` tells"
             if key.endswith("mount"):
                 why += f"; at right angles it were {yaml_value(right_angles(value))}"
@@ -108,8 +110,20 @@ def _filter(seen: Inspection) -> Iterator[Line]:
         bias = getattr(grade, f"{sensor}_bias")
         walk = (bias / 3.0) ** 2 / _HOUR
         why = f"{CHECK}: grade {name}, by its noise"
-        yield Line(f"initial.{sensor}_bias_std", float(f"{bias:.2g}"), why)
+        yield _bias(seen, Line(f"initial.{sensor}_bias_std", float(f"{bias:.2g}"), why))
         yield Line(f"process_noise.{sensor}_bias_walk", float(f"{walk:.2g}"), why)
+
+
+def _bias(seen: Inspection, of_grade: Line) -> Line:
+    """That of the grade, or what the recording shows beyond it."""
+    shown = seen.gyroscope_bias
+    if of_grade.name != GYROSCOPE_BIAS or shown is None or not shown.exceeds(of_grade.value):
+        return of_grade
+    if not shown.is_usable:
+        why = f"{of_grade.why}; {shown.rounded:g} by {shown.source}: record {REST}"
+        return of_grade._replace(why=why)
+    why = f"by {shown.source}; by its grade {of_grade.value:g}"
+    return Line(GYROSCOPE_BIAS, shown.rounded, why)
 
 
 #: The resolution of a DVL's numbers [m/s]: that of a simulator may have no noise.

@@ -15,6 +15,7 @@ the motion does not tell accuses nobody.
 from bisect import insort
 from collections import deque
 from collections.abc import Generator, Iterable
+from dataclasses import replace
 
 import numpy as np
 
@@ -302,6 +303,21 @@ class AlignmentCheck:
             self._explained = self._closed
             if len(self._motions) >= FEWEST_WINDOWS:
                 self._thought = self._search.explain(list(self._motions))
+
+    def take_off(self, gyroscope_bias: Array, std: float) -> None:
+        """Correct the windows for a bias that the recording shows, before `finish`.
+
+        The turn by a large bias is no small error within a window: it looks like a wrong scale.
+
+        Args:
+            gyroscope_bias: (3,) in IMU axes [rad/s].
+            std: One sigma of what is left of it [rad/s].
+        """
+        b = self._terms.C_b_i @ gyroscope_bias
+        for k, motion in enumerate(self._motions):
+            samples = motion.samples
+            self._motions[k] = Motion(replace(samples, w=samples.w - b))
+        self._search.gyroscope_bias = std
 
     def finish(self) -> None:
         """Explain all windows at once, at the end of a recording: some seconds where any is odd."""

@@ -145,11 +145,11 @@ class Search:
     ) -> None:
         self.known = known
         self.causes = causes
-        self._biases = (accelerometer_bias, gyroscope_bias)
+        self._accelerometer_bias, self.gyroscope_bias = accelerometer_bias, gyroscope_bias
         self._lasting, self._lasts = lasting, lasts
 
     def _prior(self, cause: Cause | Miswired) -> Prior:
-        return cause.prior(*self._biases)
+        return cause.prior(self._accelerometer_bias, self.gyroscope_bias)
 
     def problem(self, motions: Sequence[Motion]) -> Problem:
         """Of estimating the unknowns from some windows."""
