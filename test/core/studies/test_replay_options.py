@@ -49,6 +49,19 @@ def test_a_setting_is_used_and_told(folder: Path) -> None:
     assert document["nis_mean"] < 0.1
 
 
+def test_the_factor_on_q_is_told_where_it_is_learned(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A constant that is told a hundred times too large."""
+    assert replayed(folder)["process_noise_factor"] is None
+    assert "factor on it" not in capsys.readouterr().out
+    large = "process_noise.accelerometer_variance=[1, 1, 1]"
+    factor = "process_noise.adaptive_factor=true"
+    document = replayed(folder, "--set", large, "--set", factor)
+    assert document["process_noise_factor"] < 0.5
+    assert f"{document['process_noise_factor']:.4g}" in capsys.readouterr().out
+
+
 def test_wrong_settings_are_told_together(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     replayed(folder, "--set", "dvl.noise=1", "--set", "rate", code=2)
     said = capsys.readouterr().err.splitlines()

@@ -24,6 +24,7 @@ from insdvl.studies.replay.reference import AtReference, Reference
 from insdvl.timeline.output import AppliedUpdate, FoldResult
 from insdvl.watch.consistency import scaled_nis
 from insdvl.watch.start import large_biases, report_of_start
+from insdvl.watch.state_summary import summary
 
 DVL = Dvl.name
 LAGS = 10  # of the autocorrelation
@@ -124,9 +125,11 @@ def report(replayed: Replayed) -> dict[str, Any]:
     nu = np.array([r.innovation for r in corrected]).reshape(-1, 3)
     S = np.array([r.S for r in corrected]).reshape(-1, 3, 3)
     document = errors_at(replayed.at_reference, filter_, last.updates)
-    start, findings = None, []
+    start, findings, factor = None, [], None
     if last.known_ns:
         state = last.end[0]
+        if filter_.parameters.process_noise.adaptive_factor:
+            factor = summary(state).factor
         started = report_of_start(filter_, state)
         start = started.text or None
         findings = [f for f in (started.missing, *large_biases(filter_, state)) if f]
@@ -137,6 +140,7 @@ def report(replayed: Replayed) -> dict[str, Any]:
         "innovation_autocorrelation": (
             autocorrelation(normalised_innovations(nu, S), LAGS) if len(corrected) > LAGS else None
         ),
+        "process_noise_factor": factor,
         "imu_samples": sum(part.size for part in replayed.parts),
         "first_stamp": begin_ns / NS if last.known_ns else None,
         "duration": float(end_ns - begin_ns) / NS,

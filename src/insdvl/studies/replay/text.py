@@ -17,12 +17,15 @@ _ROWS = (
     ("tilt RMSE", "tilt_rmse_deg", "deg"),
     ("reference stamps", "reference_stamps", ""),
 )
+#: The number that only a filter has that learns it.
+FACTOR = "process_noise_factor"
 _ALWAYS = (
     ("mean NIS (3 dof)", "nis_mean", ""),
     ("mean NIS, accepted only", "nis_mean_accepted", ""),
     ("DVL accepted", "dvl_accepted", ""),
     ("DVL rejected", "dvl_rejected", ""),
     ("process noise", "process_noise", ""),
+    ("factor on it at the end", FACTOR, ""),
 )
 #: Widths of the labels, and the styles of judgements by what they begin with.
 TABLE, VERDICT = 32, 20
@@ -47,6 +50,8 @@ def table_of(document: dict[str, Any]) -> Iterator[Line]:
         yield Line("reference", "none in the recording: judged by the innovations")
     for text, name, unit in (*(_ROWS if has_reference else ()), *_ALWAYS):
         value = document[name]
+        if value is None and name == FACTOR:
+            continue
         shown = "unknown" if value is None else value
         if isinstance(value, float):
             shown = f"{value:.4g}"
@@ -90,6 +95,8 @@ def side_by_side(documents: Sequence[dict[str, Any]]) -> str:
     """The numbers of several configurations in columns, and the judgement of each."""
     has_reference = all(document["reference_stamps"] >= 2 for document in documents)
     rows = [*(_ROWS if has_reference else ()), *_ALWAYS]
+    if all(document[FACTOR] is None for document in documents):
+        rows = [row for row in rows if row[1] != FACTOR]
     lines = ["", "Side by side"]
     lines += [f"  {k}: {document['configuration']}" for k, document in enumerate(documents, 1)]
     lines.append(_columns("", range(1, len(documents) + 1)))
