@@ -9,10 +9,11 @@ from scipy.spatial.transform import Rotation
 from insdvl.arrays import Array, Stamps
 from insdvl.navigation.coordinates import body_velocity_jacobian, position_error
 from insdvl.navigation.error_state import ACCELEROMETER_BIAS, ATTITUDE, GYROSCOPE_BIAS, POSITION
-from insdvl.navigation.events import NS, Event, Imu, ProcessNoise, SensorNoise
+from insdvl.navigation.events import NS, Event, Imu, Initial, ProcessNoise, SensorNoise
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.odometry import position_in_odom
 from insdvl.navigation.parameters import FilterParameters
+from insdvl.simulation.mission import Mission
 from insdvl.studies.evaluation import outages
 from insdvl.studies.evaluation.approaches import (
     MATCHED,
@@ -85,8 +86,8 @@ def numbered(runs: int) -> dict[str, int]:
     return {f"{number}": number for number in range(runs)}
 
 
-class Run:
-    """One mission, which every approach navigates.
+class Flight:
+    """A mission and its start, which every filter navigates.
 
     Attributes:
         mission: The mission, in NED and forward-right-down.
@@ -94,33 +95,16 @@ class Run:
         outages: Of the DVL.
     """
 
-    def __init__(self, study: Study, split: int, number: int) -> None:
-        self._of = study, split, number
-        self.outages = study.outages
-        self.mission = mission_of_run(study, split, number)
-        truth = self.mission.truth
-        self.truth = track(truth.C_n_b, truth.v_n, truth.p_o)
-        self._received: dict[str, tuple[Stamps, Array]] = {}
-        self._initial = initial_of_run(self.mission, study, split, number)
+    def __init__(
+        self, mission: Mission, initial: Initial, silent: tuple[outages.Outage, ...] = ()
+    ) -> None:
+        self.mission, self.outages, self._initial = mission, silent, initial
+        self.truth = track(mission.truth.C_n_b, mission.truth.v_n, mission.truth.p_o)
 
-    def fold(self, approach: Approach) -> FoldResult:
-        """The mission through the filter of an approach, with what it is told of the noise."""
-        if approach.q_source == MATCHED:
-            return navigate(
-                self.mission, self._initial, approach.parameters, _every(approach.parameters)
-            )
-        if not approach.q_source:
-            return self.fold_received(approach.parameters, np.empty(0, np.int64), np.empty((0, 6)))
-        if approach.q_source not in self._received:
-            self._received[approach.q_source] = self._variances(approach)
-        stamps_ns, variances = self._received[approach.q_source]
-        return self.fold_received(
-            approach.parameters,
-            stamps_ns,
-            approach.q_factor * variances,
-            told_r=approach.told_r,
-            further=self._tuned_r(approach.parameters) if approach.tuned_r else (),
-        )
+    @property
+    def samples(self) -> Array:
+        """(N, 6) readings of the IMU, f_b then w_ib_b."""
+        return np.hstack([self.mission.f_b, self.mission.w_ib_b])
 
     def fold_received(
         self,
@@ -145,6 +129,35 @@ class Run:
         events = [self._initial, *measured, *received, *further]
         return fold_arrays(parameters, m.stamps_ns, m.f_b, m.w_ib_b, events, _every(parameters))
 
+
+class Run(Flight):
+    """One mission of a study."""
+
+    def __init__(self, study: Study, split: int, number: int) -> None:
+        self._of = study, split, number
+        mission = mission_of_run(study, split, number)
+        super().__init__(mission, initial_of_run(mission, study, split, number), study.outages)
+        self._received: dict[str, tuple[Stamps, Array]] = {}
+
+    def fold(self, approach: Approach) -> FoldResult:
+        """The mission through the filter of an approach, with what it is told of the noise."""
+        if approach.q_source == MATCHED:
+            return navigate(
+                self.mission, self._initial, approach.parameters, _every(approach.parameters)
+            )
+        if not approach.q_source:
+            return self.fold_received(approach.parameters, np.empty(0, np.int64), np.empty((0, 6)))
+        if approach.q_source not in self._received:
+            self._received[approach.q_source] = self._variances(approach)
+        stamps_ns, variances = self._received[approach.q_source]
+        return self.fold_received(
+            approach.parameters,
+            stamps_ns,
+            approach.q_factor * variances,
+            told_r=approach.told_r,
+            further=self._tuned_r(approach.parameters) if approach.tuned_r else (),
+        )
+
     def learned(
         self, estimate: Estimator, window: int, history: int, rate: float
     ) -> tuple[Stamps, Array]:
@@ -157,7 +170,7 @@ class Run:
             rate: Of the tuner [Hz].
         """
         m = self.mission
-        return tuned(m.stamps_ns, self._samples, estimate, window, rate, MAX_GAP_NS, history)
+        return tuned(m.stamps_ns, self.samples, estimate, window, rate, MAX_GAP_NS, history)
 
     def _tuned_r(self, parameters: FilterParameters) -> list[SensorNoise]:
         """What the tuner learns of the pings' noise, for a filter with these parameters."""
@@ -168,11 +181,6 @@ class Run:
             while pings and pings[0][0] <= stamp_ns:
                 found += tuner.add_ping(Dvl(*pings.pop(0)))
         return [SensorNoise(one.stamp_ns, Dvl.name, one.R) for one in found]
-
-    @property
-    def _samples(self) -> Array:
-        """(N, 6)."""
-        return np.hstack([self.mission.f_b, self.mission.w_ib_b])
 
     def _variances(self, approach: Approach) -> tuple[Stamps, Array]:
         source = approach.q_source
@@ -193,7 +201,7 @@ class Run:
             return self.learned(model.variances, model.window, model.history, RATE)
         own = own_estimator(source)
         if own is not None:
-            return tuned_by_own(self.mission.stamps_ns, self._samples, own, RATE, MAX_GAP_NS)
+            return tuned_by_own(self.mission.stamps_ns, self.samples, own, RATE, MAX_GAP_NS)
         return self.learned(*estimator(source), RATE)
 
 
@@ -240,7 +248,7 @@ def failed(
     return bool((np.diff(ends)[::2] >= FAILURE_TIME * rate).any())
 
 
-def assess(fold: FoldResult, run: Run) -> tuple[Array, Array]:
+def assess(fold: FoldResult, run: Flight) -> tuple[Array, Array]:
     """The metrics of a filter in a run, in the order of `METRICS`, and its series.
 
     Returns:

@@ -50,6 +50,7 @@ from insdvl.studies.results import (
     window,
     withheld,
 )
+from insdvl.studies.results.others import study as others
 from insdvl.tuner.models import load_model
 
 #: Rows of the tables that show what an error state or the gate changes.
@@ -88,8 +89,8 @@ PLANS: Mapping[str, Plan] = {
 #: Rows with a model of the studies on recordings.
 _ON_RECORDINGS = ("hcf paper", "hcf default", BANDS)
 ACCURACY, WINDOW, VEHICLE, WITHHELD = "q-accuracy", "window", "vehicle", "withheld"
-BREADTH = "breadth"
-PARTS = (ACCURACY, *PLANS, BREADTH, WINDOW, VEHICLE, WITHHELD)
+BREADTH, OTHER_VEHICLES = "breadth", "other-vehicles"
+PARTS = (ACCURACY, *PLANS, BREADTH, OTHER_VEHICLES, WINDOW, VEHICLE, WITHHELD)
 _OF_RECORDINGS = (VEHICLE, WITHHELD)
 _WINDOW_RUNS = 10
 _RECORDING_RUNS, _RECORDING_TUNING_RUNS = 10, 3  # for each recording and injection
@@ -156,6 +157,10 @@ def _compute(part: str, arguments: argparse.Namespace, folder: Path, pool: Pool)
             work, {"plans": [plan.document() for plan in plans], "models": models}, source
         )
         document = breadth.study_breadth(plans, pool, store)
+    elif part == OTHER_VEHICLES:
+        runs_, source = arguments.runs or others.RUNS, Path(others.__file__)
+        store = Store(work, {"runs": runs_, "seed": seed, "models": models}, source)
+        document = others.study_others(runs_, seed, pool, store)
     elif part in _OF_RECORDINGS:
         settings = recordings.Settings.load(arguments.config)
         recorded = recordings.load_all(arguments.recordings, settings)

@@ -1,0 +1,1 @@
+"""The process noise of vehicles that are not those of the training, against the best constant."""
