@@ -37,13 +37,14 @@ _ESTIMATED = (CLOSED_FORM, SINGLE_BAND, LEAST_BAND, MEDIAN_OF_SPECTRUM, BANDS, *
 def rows(setting: Setting) -> list[Approach]:
     """The constant, then all sources that cost something."""
     first = approach(FIRST_CONSTANT, setting)
+    with_factor = Approach("constant with factor", setting.filter(adaptive_factor=True))
     searched = adaptives(setting, nominal(first))
     of_innovations = [
         replace(searched[row][0], name=row) for row in (BEST_XI, VARIATIONAL, *SAGE_HUSA)
     ]
     missing = unavailable(_ESTIMATED)
     estimated = [approach(row, setting) for row in _ESTIMATED if row not in missing]
-    return [first, *of_innovations, *estimated]
+    return [first, with_factor, *of_innovations, *estimated]
 
 
 def seconds(study: Study, every: list[Approach], rounds: int) -> list[float]:

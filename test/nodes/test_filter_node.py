@@ -479,7 +479,12 @@ def late_compilations(values):
     return sorted({name for name, _ in signatures() - compiled})
 
 # What the first filter compiles too late, and the second needs as well, is found with the first.
-for values in ({}, {"dvl.bias_model": "gauss_markov"}, {"initial.heading": "unknown"}):
+for values in (
+    {},
+    {"dvl.bias_model": "gauss_markov"},
+    {"initial.heading": "unknown"},
+    {"process_noise.adaptive_factor": True},
+):
     print(values, late_compilations(values))
 """
 
@@ -490,7 +495,7 @@ def test_nothing_is_compiled_while_it_navigates() -> None:
         [sys.executable, "-c", COMPILED], capture_output=True, text=True, check=False
     )
     assert child.returncode == 0, child.stderr
-    assert [line.split()[-1] for line in child.stdout.splitlines()] == ["[]"] * 3
+    assert [line.split()[-1] for line in child.stdout.splitlines()] == ["[]"] * 4
 
 
 def test_late_set_odometry_moves_the_filter(graph: Any) -> None:

@@ -318,17 +318,18 @@ class Filter:
             used, accepted, reason = gate.judge(state, stamp_ns, used, linearised.R)
         report = self._report(event, now, accepted, reason)
         if report.corrected:
-            as_it_is = np.array_equal(used.R, linearised.R) and not channels.in_doubt(s)
+            scaling = self._factor if model.tells_velocity else None
+            learns = noise is not None or scaling is not None
+            as_it_is = learns and np.array_equal(used.R, linearised.R) and not channels.in_doubt(s)
             if noise is not None and as_it_is:
                 used = noise.learn(s, event, nominal, used)
-            if self._factor is None or not model.tells_velocity:
+            if scaling is None:
                 self._correct(state, event, turn, used)
             else:
-                teaches = as_it_is and not at_rest
-                self._factor.meet(s, stamp_ns, used, teaches=teaches)
+                scaling.meet(s, stamp_ns, used, teaches=as_it_is and not at_rest)
                 before = s["nav"].copy()
                 self._correct(state, event, turn, used)
-                self._factor.corrected(s, stamp_ns, before)
+                scaling.corrected(s, stamp_ns, before)
         for other in self._noises.values():
             other.follow(s, attitude)
         map_to_odom.moved(state, self.vehicle, was)
