@@ -148,6 +148,15 @@ def test_beyond_the_levels_it_is_the_last_one(slope: float, end: float) -> None:
     assert bank.mean_factor(slope * np.log(LEVELS)) == end
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("curvature", [0.0, 1e-300, 1e-9, -1e-9])
+def test_a_likelihood_without_a_maximum_has_the_last_level(curvature: float) -> None:
+    """What is nearly a line, whose parabola has its vertex far beyond all levels."""
+    sums = 0.5 * (np.log(LEVELS) / bank.SPREAD) ** 2 + np.log(LEVELS)  # takes off the prior
+    sums += curvature * np.log(LEVELS) ** 2
+    assert bank.mean_factor(sums) == LEVELS[-1]
+
+
 def test_it_has_the_mean_standard_deviation_of_prior_and_likelihood() -> None:
     """Two normal distributions of the logarithm, by Bayes' rule, and samples of the posterior."""
     sums = -0.5 * ((np.log(LEVELS) - np.log(4.0)) / 0.5) ** 2

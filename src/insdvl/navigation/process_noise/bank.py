@@ -61,7 +61,11 @@ def mean_factor(sums: Array) -> float:
     if not curvature < 0.0:
         return float(LEVELS[best])
     steps = 0.5 * (below - above) / curvature - _STEP / curvature / 4.0
-    return float(np.clip(LEVELS[middle] * np.exp(_STEP * steps), LEVELS[0], LEVELS[-1]))
+    if middle + steps <= 0.0:
+        return float(LEVELS[0])
+    if middle + steps >= LEVELS.size - 1.0:
+        return float(LEVELS[-1])
+    return float(LEVELS[middle] * np.exp(_STEP * steps))
 
 
 @kernel
