@@ -170,10 +170,11 @@ noise. `bands` is the model that was learned from the spectra of simulated vehic
 ([learned-bands.md](../explanation/learned-bands.md)), `bands with factor` the same with a factor on
 Q that the filter learns from its innovations
 ([process-noise-factor.md](../explanation/process-noise-factor.md)). `single band`, `least band` and
-`median of spectrum` are closed forms of the same spectra, `closed form` is the variance around a polynomial.
-*Adaptive* filters use the innovations: by their mean over the best window, in the coordinates of
-the invariant error state (`best xi`), by variational Bayes, and by the recursions of Sage and Husa
-for Q, or for Q and R ([filter.md](../explanation/filter.md)). In `realistic` there are rows that
+`median of spectrum` are closed forms of the same spectra, `closed form` is the variance around a
+polynomial. *Adaptive* filters use the innovations: by their mean over the best window, in the
+coordinates of the invariant error state (`best xi`), by variational Bayes, and by the recursions of
+Sage and Husa for Q, or for Q and R ([filter.md](../explanation/filter.md)).
+In `realistic` there are rows that
 also learn R ([measurement-noise.md](../explanation/measurement-noise.md)), two of them with states
 for the slow error of the DVL (sigma 0.3 of that of the data sheet, 12 s). The oracle receives the
 effective variances. White noise is what `default` was trained on ([calibrated.md](calibrated.md)).
