@@ -21,13 +21,14 @@ _ROWS = {
     "hcf default": ("learned", "#0072b2"),
     "bands": ("learned from spectra", "#56b4e9"),
     "bands with factor": ("and a factor that the DVL tells", "#000000"),
+    "bands with factor and R adaptive": ("and the noise of the DVL", "#999999"),
     "closed form": ("closed form, the variance of a window", "#009e73"),
     "adaptive variational": ("variational Bayes, from innovations", "#cc79a7"),
     "best constant": ("best constant", "#e69f00"),
     "constant 0.01/0.001": ("constant 0.01/0.001, as published", "#d55e00"),
 }
 _TICKS = (0.9, 1.0, 1.1, 1.2, 1.5, 2.0, 3.0, 5.0)
-_STEP = 0.14  # between rows, of the distance of two groups
+_STEP = 0.12  # between rows, of the distance of two groups
 
 Ratio = tuple[float, float, float]
 
