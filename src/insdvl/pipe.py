@@ -43,6 +43,9 @@ def guarded() -> Iterator[None]:
     What is left in its buffer then goes nowhere: Python flushes it once more when it ends.
     """
     stream = sys.stdout
+    if stream is None:  # closed by the caller
+        yield
+        return
     output: Any = _Output(stream)
     sys.stdout = output
     try:

@@ -326,8 +326,7 @@ class Filter:
             if scaling is None:
                 self._correct(state, event, turn, used)
             else:
-                scaling.meet(s, stamp_ns, used, teaches=as_it_is and not at_rest)
-                before = s["nav"].copy()
+                before = scaling.meet(s, stamp_ns, used, teaches=as_it_is and not at_rest)
                 self._correct(state, event, turn, used)
                 scaling.corrected(s, stamp_ns, before)
         for other in self._noises.values():

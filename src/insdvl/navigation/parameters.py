@@ -200,18 +200,18 @@ class FilterParameters:
             )
 
     def _check_limits(self) -> None:
-        """A received Q is limited to floor and ceiling; the nominal one must be within them too."""
+        """Where Q is limited to floor and ceiling, the nominal one must be within them too."""
         noise = self.process_noise
-        if noise.source not in ("external", "message"):
+        if noise.source not in ("external", "message") and not noise.adaptive_factor:
             return
+        where = "with adaptive_factor" if noise.adaptive_factor else f"with source '{noise.source}'"
         for sensor in ("accelerometer", "gyroscope"):
             floor, ceiling = (getattr(noise, f"{sensor}_{end}") for end in ("floor", "ceiling"))
             for variance in getattr(noise, f"{sensor}_variance"):
                 if not floor <= variance <= ceiling:
                     raise ParameterError(
                         f"parameter 'process_noise.{sensor}_variance' must be within its floor and "
-                        f"ceiling ({floor:g} to {ceiling:g}) where the source is "
-                        f"'{noise.source}', got {variance!r}"
+                        f"ceiling ({floor:g} to {ceiling:g}) {where}, got {variance!r}"
                     )
 
     @property

@@ -15,6 +15,7 @@ from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.process_noise import bank
 from insdvl.navigation.process_noise.bank import LEVELS, SIZE
+from insdvl.navigation.process_noise.factor import SETTLING
 from insdvl.parameters.declaration import ParameterError, build
 from insdvl.studies.evaluation.approaches import Setting
 from insdvl.studies.evaluation.monte_carlo import TUNING, Run, Study
@@ -22,6 +23,8 @@ from insdvl.timeline.fold import Fold
 from insdvl.timeline.output import FoldResult
 
 SEED = 11
+#: Nominal variances within the bounds of the test of the bounds.
+NOMINAL = {"accelerometer_variance": (0.1,) * 3}
 
 
 @pytest.fixture(scope="module")
@@ -225,11 +228,20 @@ def test_it_mends_a_constant(run: Run) -> None:
 
 
 def test_floor_and_ceiling_hold_for_the_product(run: Run) -> None:
-    floored = told(run, 10.0, adaptive_factor=True, accelerometer_floor=0.008).states
+    """The told Q is within them, the product would not be."""
+    floored = told(run, 10.0, adaptive_factor=True, **NOMINAL, accelerometer_floor=0.05).states
     assert floored["q_factor"]["factor"][-1] == pytest.approx(0.1, rel=0.35)
-    assert np.diagonal(floored["noise"]["Q_f"], axis1=1, axis2=2).min() >= 0.008
-    capped = told(run, 0.1, adaptive_factor=True, gyroscope_ceiling=2e-3).states
-    assert np.diagonal(capped["noise"]["Q_w"], axis1=1, axis2=2).max() <= 2e-3
+    Q_f = np.diagonal(floored["noise"]["Q_f"], axis1=1, axis2=2)
+    assert Q_f.min() == pytest.approx(0.05)
+    capped = told(run, 0.1, adaptive_factor=True, gyroscope_ceiling=8e-4).states
+    bound = told(run, 0.1, adaptive_factor=True).states
+    assert np.diagonal(bound["noise"]["Q_w"], axis1=1, axis2=2).max() > 8.5e-4
+    assert np.diagonal(capped["noise"]["Q_w"], axis1=1, axis2=2).max() <= 8e-4 * (1.0 + 1e-9)
+
+
+def test_a_nominal_q_outside_of_its_bounds_is_refused() -> None:
+    with pytest.raises(ParameterError, match=r"accelerometer_variance.*with adaptive_factor"):
+        Setting("calibrated").filter(adaptive_factor=True, accelerometer_floor=0.05)
 
 
 def test_nothing_is_learned_of_pings_that_the_gate_refuses(run: Run) -> None:
@@ -337,3 +349,88 @@ def test_a_q_that_has_timed_out_takes_its_factor_with_it(run: Run) -> None:
     assert 0.5 < state["q_factor"]["factor"] < 2.0
     in_time = state_after([told_once, *events], q_timeout=600.0)
     assert in_time["q_factor"]["factor"] < 0.4
+
+
+DISTURBED = 100.0  # s, when the factor is known
+
+
+def gap(events: list[Event], m: Any) -> list[Event]:
+    """Without the samples of a second."""
+    begin_ns, end_ns = (m.start_ns + round(s * NS) for s in (DISTURBED, DISTURBED + 1.0))
+    return [e for e in events if not (isinstance(e, Imu) and begin_ns < e.stamp_ns < end_ns)]
+
+
+def frozen(events: list[Event], m: Any) -> list[Event]:
+    """The accelerometers are stuck for five seconds."""
+    begin_ns, end_ns = (m.start_ns + round(s * NS) for s in (DISTURBED, DISTURBED + 5.0))
+    return [
+        replace(e, f_b=np.array([0.1, 0.2, -9.7]))
+        if isinstance(e, Imu) and begin_ns < e.stamp_ns < end_ns
+        else e
+        for e in events
+    ]
+
+
+def knock(events: list[Event], m: Any) -> list[Event]:
+    """A fifth of a second with 15 m/s^2 that nobody has felt."""
+    begin_ns, end_ns = (m.start_ns + round(s * NS) for s in (DISTURBED, DISTURBED + 0.2))
+    return [
+        replace(e, f_b=e.f_b + np.array([15.0, 0.0, 0.0]))
+        if isinstance(e, Imu) and begin_ns < e.stamp_ns < end_ns
+        else e
+        for e in events
+    ]
+
+
+@pytest.mark.parametrize("fault", [gap, frozen, knock])
+def test_what_is_no_process_noise_does_not_teach(run: Run, fault: Any) -> None:
+    """A gap, a frozen channel, and a step that the gate gives in to: P is inflated, not Q.
+
+    Against the same filter on the same mission without the fault, half a minute later.
+    """
+    gate = replace(Setting("calibrated", gate=True).filter().gate, enabled=True)
+    events = events_of(run, DISTURBED + 30.0)
+    expected = state_after(events, gate=gate)["q_factor"]["factor"]
+    disturbed = state_after(fault(events, run.mission), gate=gate)["q_factor"]
+    assert disturbed["factor"] == pytest.approx(expected, rel=0.35)
+
+
+def test_the_bank_settles_before_it_teaches(run: Run) -> None:
+    events = events_of(run, SETTLING + 1.0)  # the first ping begins it, at 1 s
+    m = state_after(events)["q_factor"]
+    assert m["begin_ns"] == run.mission.dvl_stamps_ns[0]
+    assert m["learned_ns"] == run.mission.dvl_stamps_ns[int(SETTLING)]
+    assert state_after(events_of(run, SETTLING))["q_factor"]["learned_ns"] < 0
+
+
+def test_a_new_initial_state_begins_the_bank_and_keeps_the_factor(run: Run) -> None:
+    m = run.mission
+    again = replace(run._initial, stamp_ns=m.start_ns + 60 * NS + NS // 2)
+    events = sorted([*events_of(run, 62.0), again], key=lambda e: e.stamp_ns)
+    parameters = Setting("calibrated").filter()
+    state = state_after(events, initial=replace(parameters.initial, mode="set_odometry"))
+    assert state["q_factor"]["factor"] < 0.7
+    assert state["q_factor"]["begin_ns"] >= again.stamp_ns
+
+
+def test_what_was_learned_fades_in_a_pause(run: Run) -> None:
+    """By the time between the pings that teach, whatever lies between."""
+    before = state_after(events_of(run, 60.0))["q_factor"]
+    after = state_after(events_of(run, 272.0, silent=(60.0, 260.0)))["q_factor"]
+    spread = np.ptp(after["likelihoods"])
+    faded = np.ptp(before["likelihoods"]) * np.exp(-212.0 / bank.MEMORY)
+    assert spread < 0.5 * (np.ptp(before["likelihoods"]) + faded) + 10.0
+    assert after["learned_ns"] > before["learned_ns"] + 200 * NS
+
+
+def test_the_estimates_of_the_levels_move_with_the_filter(run: Run) -> None:
+    """A level that is told what the filter is told stays where the filter is."""
+    stamps_ns, q = run.mission.process_noise()
+    parameters = Setting("calibrated").filter(source="external", adaptive_factor=True)
+    m = run.fold_received(parameters, stamps_ns, q).states["q_factor"][-1]
+    one = int(np.flatnonzero(LEVELS == 1.0)[0])
+    full = np.empty((SIZE, SIZE))
+    bank.unpack(full, m["P"][one])
+    off = m["errors"][one] / np.sqrt(np.diag(full))
+    assert np.abs(off).max() < 0.5
+    assert np.abs(m["errors"][0] / np.sqrt(np.diag(full))).max() > 0.5  # others do not

@@ -117,7 +117,7 @@ def advance(
     product(M, C_n_b, S_w)
     product_transposed(N, M, C_n_b)
     add_block(Q, _A, _A, t, N)
-    product(M, VC, S_w)  # with v from the begin on, and with gravity through the tilt
+    product(M, VC, S_w)  # by the velocity, and by gravity through the tilt
     product_transposed(N, M, VC)
     add_block(Q, _V, _V, t, N)
     product_transposed(N, M, GC)

@@ -5,13 +5,17 @@ mission: slow noise that hides below the motion, or motion that looks like slow 
 know it. A bank of small filters has one for each level of the factor (bank.py); the likelihoods of
 their innovations tell how probable each is, and that with the mean standard deviation is in effect.
 
-Only a ping that the gate takes as it is teaches, see `Filter.update`.
+Only a ping that the gate takes as it is teaches, see `Filter.update`. The bank knows of no noise
+but Q: after a gap of the IMU, a channel in doubt, or an inflation of P it begins anew.
 
 Derivation: docs/explanation/process-noise-factor.md.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
+from insdvl.arrays import Array
 from insdvl.navigation.coordinates import body_velocity_jacobian
 from insdvl.navigation.error_state import ACCELEROMETER_BIAS, ATTITUDE, GYROSCOPE_BIAS, VELOCITY
 from insdvl.navigation.events import NS
@@ -23,7 +27,16 @@ from insdvl.navigation.process_noise import bank
 from insdvl.navigation.process_noise.bank import LEVELS, PACKED, SIZE
 from insdvl.navigation.process_noise.parameters import ProcessNoiseParameters
 from insdvl.navigation.process_noise.received import bounded
-from insdvl.navigation.state import COVARIANCE, NEVER, NUMBER, STAMP, Field, State
+from insdvl.navigation.state import (
+    COUNT,
+    COVARIANCE,
+    GATE_COUNTERS,
+    NEVER,
+    NUMBER,
+    STAMP,
+    Field,
+    State,
+)
 
 #: After so long [s] without a ping the bank begins again at the next one.
 PAUSE = 20.0
@@ -40,12 +53,31 @@ FIELDS = (
     Field("Q_f", COVARIANCE, (3, 3)),
     Field("Q_w", COVARIANCE, (3, 3)),
     Field("told_ns", STAMP),
-    # The bank: estimates relative to the filter's, covariances, begin, and stamp of the last ping
+    Field("learned_ns", STAMP),  # of the last ping that has taught
+    # The bank: estimates relative to the filter's, covariances, begin, stamp of the last ping, and
+    # how many disturbances there had been
     Field("errors", NUMBER, (LEVELS.size, SIZE)),
     Field("P", NUMBER, (LEVELS.size, PACKED)),
     Field("begin_ns", STAMP),
     Field("ping_ns", STAMP),
+    Field("disturbances", COUNT),
 )
+#: Counters of events in which the filter's P gets what is no process noise: from the samples.
+_OF_SAMPLES = ("gaps", "saturated", "frozen", "glitches", "no_data")
+
+
+class Estimate(NamedTuple):
+    """What a correction changes of a state: attitude, velocity and biases."""
+
+    C_n_b: Array
+    v_n: Array
+    b_f: Array
+    b_w: Array
+
+
+def estimate(nav: State) -> Estimate:
+    """A copy of that of a state."""
+    return Estimate(*(nav[name].copy() for name in Estimate._fields))
 
 
 class Factor:
@@ -62,7 +94,7 @@ class Factor:
 
     def start(self, s: State) -> None:
         """Nothing is learned of the Q in effect."""
-        s[GROUP]["factor"], s[GROUP]["likelihoods"] = 1.0, 0.0
+        s[GROUP]["factor"], s[GROUP]["likelihoods"], s[GROUP]["learned_ns"] = 1.0, 0.0, NEVER
         self._take(s)
 
     def told(self, s: State) -> None:
@@ -93,7 +125,7 @@ class Factor:
         ):
             noise[name], _, _ = bounded(m["factor"] * m[name], low, high)
 
-    def meet(self, s: State, stamp_ns: int, now: Innovated, *, teaches: bool) -> None:
+    def meet(self, s: State, stamp_ns: int, now: Innovated, *, teaches: bool) -> Estimate:
         """The bank takes an accepted ping, before the filter is corrected by it.
 
         Args:
@@ -101,13 +133,23 @@ class Factor:
             stamp_ns: Of the ping.
             now: The ping, as the filter takes it.
             teaches: Whether the levels learn from it.
+
+        Returns:
+            The estimate of the filter, for `corrected`.
         """
-        m, nav = s[GROUP], s["nav"]
+        m, nav, disturbances = s[GROUP], s["nav"], _disturbances(s)
         if (m["told_ns"] == NEVER) != (s["noise"]["q_ns"] == NEVER):  # it has timed out
             self.told(s)
-        if m["ping_ns"] == NEVER or stamp_ns - int(m["ping_ns"]) > PAUSE * NS:
-            m["begin_ns"] = m["ping_ns"] = NEVER
-            return
+        is_new = m["ping_ns"] == NEVER or stamp_ns - int(m["ping_ns"]) > PAUSE * NS
+        if is_new or disturbances != m["disturbances"]:
+            m["disturbances"] = disturbances
+            self.restart(s)
+        else:
+            self._advance(s, stamp_ns, now, teaches=teaches)
+        return estimate(nav)
+
+    def _advance(self, s: State, stamp_ns: int, now: Innovated, *, teaches: bool) -> None:
+        m, nav = s[GROUP], s["nav"]
         seconds = (stamp_ns - int(m["ping_ns"])) / NS
         density, p = float(self._vehicle.constants[0]["density"]), self._parameters
         bank.advance(
@@ -137,28 +179,30 @@ class Factor:
             likelihoods,
         )
         if not usable:
-            m["begin_ns"] = m["ping_ns"] = NEVER
+            self.restart(s)
         elif teaches and stamp_ns - int(m["begin_ns"]) >= SETTLING * NS:
-            m["likelihoods"] = bank.learned(m["likelihoods"], likelihoods, seconds)
-            m["factor"] = bank.mean_factor(m["likelihoods"])
+            since_ns = m["learned_ns"] if m["learned_ns"] != NEVER else stamp_ns
+            age = (stamp_ns - int(since_ns)) / NS
+            m["likelihoods"] = bank.learned(m["likelihoods"], likelihoods, age)
+            m["factor"], m["learned_ns"] = bank.mean_factor(m["likelihoods"]), stamp_ns
 
-    def corrected(self, s: State, stamp_ns: int, before: State) -> None:
+    def corrected(self, s: State, stamp_ns: int, before: Estimate) -> None:
         """The filter was corrected by that ping: the bank's estimates are relative to the new one.
 
         Args:
             s: State, corrected.
             stamp_ns: Of the ping.
-            before: The group ``nav`` before that.
+            before: The estimate before that.
         """
         m, nav = s[GROUP], s["nav"]
         if m["begin_ns"] == NEVER:
             self._begin(s, stamp_ns)
         else:
-            turned = nav["C_n_b"] @ before["C_n_b"].T
-            m["errors"][:, VELOCITY] -= nav["v_n"] - turned @ before["v_n"]
+            turned = nav["C_n_b"] @ before.C_n_b.T
+            m["errors"][:, VELOCITY] -= nav["v_n"] - turned @ before.v_n
             m["errors"][:, ATTITUDE] -= vector_from_rotation(turned)
-            m["errors"][:, ACCELEROMETER_BIAS] -= nav["b_f"] - before["b_f"]
-            m["errors"][:, GYROSCOPE_BIAS] -= nav["b_w"] - before["b_w"]
+            m["errors"][:, ACCELEROMETER_BIAS] -= nav["b_f"] - before.b_f
+            m["errors"][:, GYROSCOPE_BIAS] -= nav["b_w"] - before.b_w
         m["ping_ns"] = stamp_ns
         self._scale(s)
 
@@ -174,3 +218,10 @@ class Factor:
         bank.pack(packed, J @ nav["P"][:n, :n] @ J.T)
         m["P"] = packed
         m["begin_ns"] = stamp_ns
+
+
+def _disturbances(s: State) -> int:
+    """How many samples and gates have changed P by what is no process noise."""
+    of_samples = sum(int(s["counters"][name]) for name in _OF_SAMPLES)
+    gates = (s["gate"][name] for name in s["gate"].dtype.names)
+    return of_samples + sum(int(gate[name]) for gate in gates for name in GATE_COUNTERS)

@@ -359,7 +359,7 @@ def _of_prediction(
         )
     else:
         remedy = f"compare with process_noise.source 'constant'; it is {source!r}"
-        if not parameters.process_noise.adaptive_factor:
+        if source != "adaptive" and not parameters.process_noise.adaptive_factor:
             remedy = f"set process_noise.adaptive_factor to true, or {remedy}"
     yield Finding("prediction", text, remedy, cautious=not large)
 
