@@ -233,7 +233,8 @@ def test_floor_and_ceiling_hold_for_the_product(run: Run) -> None:
     assert floored["q_factor"]["factor"][-1] == pytest.approx(0.1, rel=0.35)
     Q_f = np.diagonal(floored["noise"]["Q_f"], axis1=1, axis2=2)
     assert Q_f.min() == pytest.approx(0.05)
-    capped = told(run, 0.1, adaptive_factor=True, gyroscope_ceiling=8e-4).states
+    low = {"gyroscope_variance": (1e-4,) * 3, "gyroscope_ceiling": 8e-4}
+    capped = told(run, 0.1, adaptive_factor=True, **low).states
     bound = told(run, 0.1, adaptive_factor=True).states
     assert np.diagonal(bound["noise"]["Q_w"], axis1=1, axis2=2).max() > 8.5e-4
     assert np.diagonal(capped["noise"]["Q_w"], axis1=1, axis2=2).max() <= 8e-4 * (1.0 + 1e-9)
