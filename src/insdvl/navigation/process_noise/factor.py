@@ -6,7 +6,7 @@ know it. A bank of small filters has one for each level of the factor (bank.py);
 their innovations tell how probable each is, and that with the mean standard deviation is in effect.
 
 Only a ping that the gate takes as it is teaches, see `Filter.update`. The bank knows of no noise
-but Q: after a gap of the IMU, a channel in doubt, or an inflation of P it begins anew.
+but Q: after a gap of the IMU, frozen samples, or an inflation of P it begins anew.
 
 Derivation: docs/explanation/process-noise-factor.md.
 """
@@ -62,8 +62,9 @@ FIELDS = (
     Field("ping_ns", STAMP),
     Field("disturbances", COUNT),
 )
-#: Counters of events in which the filter's P gets what is no process noise: from the samples.
-_OF_SAMPLES = ("gaps", "saturated", "frozen", "glitches", "no_data")
+#: Counters of events in which the filter's P gets what is no process noise: from the samples. Of a
+#: single sample that is left out it gets next to nothing.
+_OF_SAMPLES = ("gaps", "saturated", "frozen", "no_data")
 
 
 class Estimate(NamedTuple):
