@@ -126,7 +126,7 @@ def report(replayed: Replayed) -> dict[str, Any]:
     document = errors_at(replayed.at_reference, filter_, last.updates)
     start, findings = None, []
     if last.known_ns:
-        state = last.end[0]
+        state = last.known[0]
         started = report_of_start(filter_, state)
         start = started.text or None
         findings = [f for f in (started.missing, *large_biases(filter_, state)) if f]
