@@ -46,7 +46,7 @@ from insdvl.timeline.jumps import TimeJump
 from insdvl.timeline.output import AppliedUpdate
 from insdvl.timeline.state_file import StateFile
 from insdvl.watch.alignment.check import compile_check
-from insdvl.watch.start import heading_news, is_heading_known, report_of_start
+from insdvl.watch.start import DIVERGED, heading_news, is_heading_known, report_of_start
 from ros_insdvl.conversions import message_class, new_message
 from ros_insdvl.discovery import Discovery
 from ros_insdvl.endpoints import Output
@@ -270,6 +270,16 @@ class FilterNode(InsdvlNode[FilterParameters]):
                 self._follow(output)
             else:
                 self._publish_state(output, now_ns)
+        if self._start_told and not outputs and self._fold.latest is None:
+            self._start_again()
+
+    def _start_again(self) -> None:
+        """The fold has given up a state that has diverged; so is what came from it."""
+        self._begin_time()
+        if self._state_file is not None:
+            self._state_file.remove()
+        log = self.get_logger()
+        log.error(f"the filter diverged and gave up its state: {DIVERGED}; {self._starts_anew}")
 
     def _publish_state(self, output: FilterOdometry, now_ns: int) -> None:
         self._odometry.send(_encoded(self._in_odom, output, output.in_odom))

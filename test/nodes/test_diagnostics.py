@@ -453,6 +453,27 @@ def test_an_output_that_stops_is_an_error() -> None:
     assert wrong(f.look()) == {}
 
 
+def test_a_filter_that_diverges_is_an_error() -> None:
+    """With the largest walks that may be told, and no DVL."""
+    f = Filter(
+        **{
+            "process_noise.gyroscope_bias_walk": 1e6,
+            "process_noise.accelerometer_bias_walk": 1e8,
+        }
+    )
+    first = 1
+    while not f.fold.counts["diverged"]:
+        f.look()
+        f.samples(first, first + 100)
+        first += 100
+        assert first < 10_000
+    statuses = f.look()
+    assert wrong(statuses)["initialisation"] == ERROR
+    assert "diverged and gave up its state 1 times" in statuses["initialisation"].message
+    assert statuses["initialisation"].values["diverged"] == 1
+    assert "diverged" not in f.look(10.0)["initialisation"].message
+
+
 def test_late_output_is_told_where_the_clocks_agree() -> None:
     for delay_ns, expected in ((2 * NS, {"output": WARN}), (-60 * NS, {}), (NS // 2, {})):
         f = Filter()

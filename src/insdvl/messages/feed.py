@@ -101,7 +101,7 @@ class Feed:
         Returns:
             How many of the first it has taken. The next one must be given by `give`.
         """
-        count = self.inputs.sample_count(topic, samples, part)
+        count = self.inputs.sample_count(topic, samples, part, self.fold)
         count = self.fold.following(samples.stamps_ns[part.start : part.start + count])
         if count:
             taken = slice(part.start, part.start + count)

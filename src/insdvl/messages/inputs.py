@@ -142,7 +142,7 @@ class Inputs:
         stamps_ns = samples.stamps_ns + offset_ns
         return samples._replace(stamps_ns=stamps_ns, usable=samples.usable & (stamps_ns >= 0))
 
-    def sample_count(self, topic: str, samples: ImuSamples, part: slice) -> int:
+    def sample_count(self, topic: str, samples: ImuSamples, part: slice, fold: Fold) -> int:
         """How many of the first of some messages of the IMU are samples for `events` and no more.
 
         None are before the first message, after a change of the frame_id, or while a message may
@@ -152,6 +152,7 @@ class Inputs:
             topic: Of the IMU.
             samples: Of messages of that topic.
             part: Which of them follow.
+            fold: See `events`.
         """
         row, parameters, frame_id = self.topics[topic], self._parameters, self.frame_ids.get(topic)
         if row.measurement or parameters.process_noise.source == "message":
@@ -161,8 +162,10 @@ class Inputs:
         if any(expected != frame_id for _, _, expected in self._frames[topic]):
             return 0
         fit = samples.usable[part] & (samples.frames[part] == samples.frame_ids[frame_id])
-        if parameters.initial.takes_orientation and not self.initial_done:
-            fit &= ~samples.oriented[part]
+        if parameters.initial.takes_orientation:
+            self._take_again(fold)
+            if not self.initial_done:
+                fit &= ~samples.oriented[part]
         return len(fit) if fit.all() else int(np.argmin(fit))
 
     def _is_initial_done(self, fold: Fold) -> bool:
@@ -170,11 +173,17 @@ class Inputs:
 
         Until then a message with an earlier stamp may still arrive, and would be the first.
         """
+        self._take_again(fold)
         if not self.initial_done and fold.latest is not None:
             if self._initial_until_ns is None:
                 self._initial_until_ns = fold.newest_ns + self._max_delay_ns
             self.initial_done = fold.newest_ns > self._initial_until_ns
         return self.initial_done
+
+    def _take_again(self, fold: Fold) -> None:
+        """What starts a filter also starts one that has given up its state."""
+        if self.initial_done and fold.latest is None:
+            self.reset()
 
     def _with_stamp(self, event: Event, zero_stamp: ZeroStamp, newest_ns: int) -> Event | None:
         """The event, with a stamp where zero means none; None while it waits for a sample's.

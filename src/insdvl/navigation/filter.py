@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from insdvl.arrays import Array, Records, Stamps
+from insdvl.arrays import Array, Records, Stamps, copy_records
 from insdvl.navigation import algebra, channels, coordinates, error_state, kalman, map_to_odom
 from insdvl.navigation.error_state import ATTITUDE, HORIZONTAL_POSITION
 from insdvl.navigation.events import (
@@ -43,6 +43,7 @@ from insdvl.navigation.state import (
     NEVER,
     State,
     constants_type,
+    counters,
     layout,
     workspace_type,
 )
@@ -202,8 +203,10 @@ class Filter:
         first: int,
         last: int,
         kept: Kept,
-    ) -> None:
+    ) -> int:
         """Advance over the samples first <= k < last and keep what `kept` keeps of each state.
+
+        It ends at a sample whose state has diverged.
 
         Args:
             state: (1,) record.
@@ -214,8 +217,11 @@ class Filter:
             first: Index of the first sample.
             last: Index behind the last sample.
             kept: Of N samples.
+
+        Returns:
+            The index of that sample; ``last`` where there is none.
         """
-        predict.predict_samples(
+        diverged: int = predict.predict_samples(
             state,
             self._workspace,
             self.constants,
@@ -231,6 +237,26 @@ class Filter:
             kept.integers,
             kept.verdicts,
         )
+        return diverged
+
+    def give_up(self, state: Records) -> None:
+        """A state that has diverged becomes one that has not started, as behind a reset.
+
+        What does not come from it stays: the channels of the IMU, where odom lies, and the counts.
+        """
+        anew, old = self.empty(), state[0]
+        new = anew[0]
+        new["channels"] = old["channels"]
+        new["nav"]["time_ns"] = old["channels"]["imu_ns"]
+        for name in ("lat_0", "lon_0", "h_0"):
+            new["nav"][name] = old["nav"][name]
+        for (group, name), (before, _) in zip(
+            counters(new).values(), counters(old).values(), strict=True
+        ):
+            group[name] = before[name]
+        new["counters"]["diverged"] += 1
+        new["counters"]["odom_resets"] += 1
+        copy_records(state, anew)
 
     def receive_process_noise(self, state: Records, event: ProcessNoise) -> None:
         """The received Q is in effect from its stamp on."""

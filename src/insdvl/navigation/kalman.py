@@ -17,7 +17,13 @@ from insdvl.kernels import kernel
 from insdvl.navigation import coordinates
 from insdvl.navigation.algebra import gain, is_measured, joseph, remainder, rows_of, tells
 from insdvl.navigation.error_state import ATTITUDE, POSITION, VELOCITY
-from insdvl.navigation.geometry.rotation import copy_matrix, exponential, rotate
+from insdvl.navigation.geometry.rotation import (
+    copy_matrix,
+    exponential,
+    product,
+    product_transposed,
+    rotate,
+)
 from insdvl.navigation.measurements.base import Linearised
 
 #: An update is iterated where h bends by the mean sigma of R, and by a part from half of it on.
@@ -87,12 +93,12 @@ def _correct(
     R: Array,
     innovation: Array,
     mean: Array,
-    product: bool,
+    primed: bool,
     workspace: Records,
 ) -> None:
     """Joseph form, then the injection of K nu.
 
-    With ``product`` the velocity error of P, H and K is dv' of `correct_body_velocity`, and
+    With ``primed`` the velocity error of P, H and K is dv' of `correct_body_velocity`, and
     ``mean`` that of t x dv.
     """
     n, m = K.shape
@@ -104,7 +110,7 @@ def _correct(
         dx[i] = total
     P = state[0].nav.P
     joseph(P, P, remainder(K, H), K, R, workspace)
-    if product:
+    if primed:
         turn, scratch, dv = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
         exponential(turn, scratch, dx[_A], dx[_A + 1], 0.0)
         for i in range(3):
@@ -249,6 +255,28 @@ def _product_counts(
 
 
 @kernel
+def _keep_measured(H: Array, mean: Array, covariance: Array) -> None:
+    """Leave of the moments of t x dv what is along the components that were measured.
+
+    An update does not correct the others: their error stays dv, and what dv' has beside it would
+    add up from measurement to measurement.
+
+    Args:
+        H: (m, n) Jacobian; its rows of the velocity are orthonormal, or zero.
+        mean: (3,) of t x dv, in place.
+        covariance: (3, 3) of t x dv, in place.
+    """
+    M, A = np.zeros((3, 3)), np.empty((3, 3))
+    for a in range(H.shape[0]):
+        for i in range(3):
+            for j in range(3):
+                M[i, j] += H[a, _V + i] * H[a, _V + j]
+    product(A, M, covariance)
+    product_transposed(covariance, A, M)
+    rotate(mean, M, mean.copy())
+
+
+@kernel
 def correct_body_velocity(
     state: Records,
     constants: Records,
@@ -261,7 +289,8 @@ def correct_body_velocity(
     """Correct with a measurement of the body velocity, see `correct`.
 
     With dv = R_t dv' the measurement tells dv' whatever tilt and heading are, and
-    dv' = dv - t x dv to second order: its covariance is that of dv and of the product.
+    dv' = dv - t x dv to second order: its covariance is that of dv and of the product. Components
+    that were not measured are not corrected, and keep dv.
 
     Args:
         state: (1,) record.
@@ -274,8 +303,10 @@ def correct_body_velocity(
     """
     m, P = len(innovation), state[0].nav.P
     mean, covariance, before = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
-    nu, product = innovation.copy(), False
+    nu, primed = innovation.copy(), False
     if _product_counts(state, H, R, _PRODUCT, mean, covariance):
+        if rows_of(H) < m:
+            _keep_measured(H, mean, covariance)
         for i in range(3):
             for j in range(3):
                 before[i, j] = P[_V + i, _V + j]
@@ -284,8 +315,8 @@ def correct_body_velocity(
             for i in range(3):
                 nu[a] += H[a, _V + i] * mean[i]
         gained = np.empty_like(K)
-        product = np.isfinite(gain(P, H, R, nu, np.empty((m, m)), gained))
-        if product:
+        primed = np.isfinite(gain(P, H, R, nu, np.empty((m, m)), gained))
+        if primed:
             copy_matrix(K, gained)
         else:
             for a in range(m):
@@ -293,7 +324,7 @@ def correct_body_velocity(
             for i in range(3):
                 for j in range(3):
                     P[_V + i, _V + j] = before[i, j]
-    _correct(state, constants, H, K, R, nu, mean, product, workspace)
+    _correct(state, constants, H, K, R, nu, mean, primed, workspace)
 
 
 def correct(

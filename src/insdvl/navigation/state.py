@@ -232,15 +232,14 @@ _COUNTERS = (
     Field("frozen", COUNT),  # samples
     Field("glitches", COUNT),  # samples
     Field("no_data", COUNT),  # samples
-    Field("q_timeouts", COUNT),
-    Field("floors", COUNT),
-    Field("ceilings", COUNT),
+    *(Field(name, COUNT) for name in ("q_timeouts", "floors", "ceilings")),
     Field("without_origin", COUNT),
     Field("too_old", COUNT),  # initial states from long before the first sample
     Field("not_level", COUNT),  # levellings that were restarted
     Field("wrong_headings", COUNT),  # found, and contradicted by the gyroscope
     Field("off_the_map", COUNT),  # initial states at no place that the filter could navigate at
     Field("beyond_latitude", COUNT),  # steps that ended at the largest latitude
+    Field("diverged", COUNT),  # states that were given up, see kept.py
     Field("odom_resets", COUNT),  # further starts, and steps of odom
 )
 

@@ -74,11 +74,11 @@ class Steps:
                 next_ns = entries[e].event.stamp_ns if e < len(entries) else None
                 run_end = n if next_ns is None else samples.index_of(next_ns)
                 if run_end > k:
-                    self._predict(state, k, run_end)
-                    k = run_end
+                    k = self._predict(state, k, run_end)
                     continue
             e = self._fold_sample(state, k, e)
-            samples.kept.put(state, k)
+            if not samples.kept.put(state, k):
+                self._give_up(state, k)
             k += 1
         samples.stale = n
 
@@ -91,11 +91,23 @@ class Steps:
         is_kept = samples.kept.before(samples.count) == last
         return samples.kept.at(last) if is_kept else self._state[0]
 
-    def _predict(self, state: Records, first: int, last: int) -> None:
-        """Advance over the samples first <= k < last."""
+    def _predict(self, state: Records, first: int, last: int) -> int:
+        """Advance over the samples first <= k < last; returns the index behind the last of them.
+
+        Where the state diverges it is given up, and that sample is the last.
+        """
         samples = self._samples
         arrays = samples.stamps_ns, samples.f_b, samples.w_ib_b, samples.readings
-        self._filter.predict_samples(state, *arrays, first, last, samples.kept)
+        diverged = self._filter.predict_samples(state, *arrays, first, last, samples.kept)
+        if diverged == last:
+            return last
+        self._give_up(state, diverged)
+        return diverged + 1
+
+    def _give_up(self, state: Records, k: int) -> None:
+        """The state at sample k has diverged."""
+        self._filter.give_up(state)
+        self._samples.kept.put(state, k)
 
     def _fold_sample(self, state: Records, k: int, e: int) -> int:
         """Advance over sample k and the events in its interval; returns the next event's index."""

@@ -41,6 +41,11 @@ REMEDY = (
     "has it, initial.heading:=parameters where the yaw of initial.rpy is right, or publish "
     "set_odometry"
 )
+#: What to do about a filter that diverges.
+DIVERGED = (
+    "no measurement holds a part of the state, or noise and biases of the IMU are told far too "
+    "large; check process_noise, initial.*_std and which components of the velocity are measured"
+)
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,18 @@ from insdvl.navigation.geometry.odom import MAX_FROM_ORIGIN
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.state import State
 from insdvl.timeline.fold import Fold
-from insdvl.watch.start import large_biases, report_of_start, unknown_heading, waits_for
-from ros_insdvl.status.diagnostics import RECENT, WARN, Status, View
+from insdvl.watch.start import (
+    DIVERGED,
+    large_biases,
+    report_of_start,
+    unknown_heading,
+    waits_for,
+)
+from ros_insdvl.status.diagnostics import ERROR, RECENT, WARN, Status, View
 from ros_insdvl.status.filter.base import Cause, Published
 
-#: Events, and what each means.
+_DIVERGED = "diverged"
+#: Events that are no error, and what each means.
 _EVENTS = {
     "without_origin": "{count} initial states in the last {seconds:.0f} s arrived before the "
     "origin and were not used: send them again after the fix",
@@ -53,6 +60,13 @@ class Initialisation(Cause):
             status.summary = f"initialised, first output at stamp {first_ns / NS:.3f} s"
         if latest is not None:
             self._tell_start(latest, status)
+        if count := view.events.recent[_DIVERGED]:
+            status.complain(
+                ERROR,
+                _DIVERGED,
+                f"the filter diverged and gave up its state {count} times in the last "
+                f"{RECENT:.0f} s, and starts again as initial.mode says: {DIVERGED}",
+            )
         for name, text in _EVENTS.items():
             if count := view.events.recent[name]:
                 status.complain(WARN, name, text.format(count=count, seconds=RECENT))
@@ -63,7 +77,7 @@ class Initialisation(Cause):
             topics.append(FIX)
         view.show(status, *topics)
         view.report_refused(status, topics)
-        view.show_events(status, *_EVENTS)
+        view.show_events(status, _DIVERGED, *_EVENTS)
         return status
 
     def _tell_start(self, latest: State, status: Status) -> None:

@@ -2,6 +2,9 @@
 
 A state record has several kilobytes. A recording of hours cannot keep one per sample; most who use
 its result need the track at every sample and the covariance a few times a second.
+
+All that is published, saved or scored is kept here first. So here is seen whether a state has
+diverged: then it is given up (`Filter.give_up`) before anybody sees it.
 """
 
 import numpy as np
@@ -31,6 +34,31 @@ TRACK = np.dtype(
 _C_N_B, _V_N, _LLH = 5, 14, 17
 _COLUMNS = TRACK.itemsize // 8
 
+#: A state has diverged if its numbers, or their variances, add up to more [SI]. No vehicle comes
+#: near. What a step or an output makes of less is finite, also in the single precision of a
+#: recording.
+LARGEST, LARGEST_VARIANCE = 1e8, 1e20
+
+
+@kernel
+def has_diverged(s: State) -> bool:
+    """Whether a state is not finite, or on its way there.
+
+    Covariances are not looked at: they are no larger than the variances.
+    """
+    nav, noise = s.nav, s.noise
+    numbers, angles, variances = 0.0, 0.0, 0.0
+    for i in range(3):
+        numbers += abs(nav.v_n[i]) + abs(nav.llh[i]) + abs(nav.llh_r[i])
+        numbers += abs(nav.b_f[i]) + abs(nav.b_w[i]) + abs(nav.w_nb_b[i])
+        variances += abs(noise.Q_f[i, i]) + abs(noise.Q_w[i, i])
+        for j in range(3):
+            angles += abs(nav.C_n_b[i, j])
+    for i in range(nav.P.shape[0]):
+        variances += abs(nav.P[i, i])
+    is_sound = numbers + angles <= LARGEST and variances <= LARGEST_VARIANCE  # nan is not
+    return not is_sound
+
 
 @kernel
 def keep(
@@ -41,8 +69,8 @@ def keep(
     numbers: Array,
     integers: Stamps,
     verdicts: NDArray[np.int8],
-) -> None:
-    """Keep the state at sample k, see `Kept`."""
+) -> bool:
+    """Keep the state at sample k, see `Kept`; whether it may be: it has not diverged."""
     nav = s.nav
     integers[k, 0], integers[k, 1] = nav.time_ns, nav.initialised
     numbers[k, 2], numbers[k, 3], numbers[k, 4] = nav.lat_0, nav.lon_0, nav.h_0
@@ -54,6 +82,7 @@ def keep(
         verdicts[k, i] = s.channels.verdict[i]
     if (k + 1) % every == 0:
         states[k // every] = s
+    return not has_diverged(s)
 
 
 @kernel
@@ -65,8 +94,8 @@ def _keep(
     numbers: Array,
     integers: Stamps,
     verdicts: NDArray[np.int8],
-) -> None:
-    keep(state[0], k, every, states, numbers, integers, verdicts)
+) -> bool:
+    return keep(state[0], k, every, states, numbers, integers, verdicts)
 
 
 class Kept:
@@ -98,10 +127,10 @@ class Kept:
         self.verdicts: NDArray[np.int8] = np.empty((size, 6), np.int8)
         self._bytes = self.states.view(np.uint8).reshape(-1, dtype.itemsize)
 
-    def put(self, state: Records, k: int) -> None:
-        """Keep the state (1,) at sample k."""
+    def put(self, state: Records, k: int) -> bool:
+        """Keep the state (1,) at sample k; False for one that has diverged and must not stay."""
         arrays = self.states, self.numbers, self.integers, self.verdicts
-        _keep(state, k, self.every, *arrays)
+        return bool(_keep(state, k, self.every, *arrays))
 
     def before(self, k: int) -> int:
         """The last sample before k behind which the state is kept, and -1 for none."""

@@ -151,10 +151,12 @@ def predict_samples(
     numbers: Array,
     integers: Stamps,
     verdicts: NDArray[np.int8],
-) -> None:
+) -> int:
     """Advance a record over samples and keep what `Kept` keeps, see `filter.Filter`."""
     s, w, c = state[0], workspace[0], constants[0]
     for k in range(first, last):
         _advance(s, w, c, stamps_ns[k], f_b[k], w_ib_b[k], readings[k], stamps_ns[k])
         _complete(s, c, stamps_ns[k], readings[k])
-        keep(s, k, every, states, numbers, integers, verdicts)
+        if not keep(s, k, every, states, numbers, integers, verdicts):
+            return k
+    return last

@@ -262,7 +262,7 @@ def assess(fold: FoldResult, run: Flight) -> tuple[Array, Array]:
     seconds = slice(_NEES_RATE - 1, None, _NEES_RATE)  # among those samples, whose states are kept
     series = np.full((len(s[seconds]), len(SERIES)), np.nan)
     result = track_of(fold)
-    if failed(result, truth, rate, run.outages):
+    if fold.counts.get("diverged") or failed(result, truth, rate, run.outages):
         return _failure(), series
     values = _errors(result, truth)
 
@@ -380,8 +380,9 @@ def tuning_run(shared: tuple[Study, Sequence[Approach]], number: int) -> dict[st
     run = Run(study, TUNING, number)
     rows = []
     for approach in approaches:
-        result, truth = track_of(run.fold(approach)), run.truth
-        if failed(result, truth, approach.parameters.imu.rate):
+        fold, truth = run.fold(approach), run.truth
+        result, rate = track_of(fold), approach.parameters.imu.rate
+        if fold.counts.get("diverged") or failed(result, truth, rate):
             rows.append((np.inf, np.inf))
         else:
             rows.append((rmse(truth.v_b - result.v_b), rmse(truth.v_n - result.v_n)))

@@ -36,7 +36,7 @@ def biases(filter_: Filter, replayed: Replayed) -> dict[str, Any] | None:
     """The biases at the end over their initial sigmas, in IMU axes of the stream."""
     if not replayed.last.known_ns:
         return None
-    nav, vehicle = replayed.last.end[0]["nav"], filter_.vehicle
+    nav, vehicle = replayed.last.known[0]["nav"], filter_.vehicle
     to_imu, initial = vehicle.axes.body @ vehicle.C_b_i.T, filter_.parameters.initial
     found = {}
     for name, estimate in (("accelerometer", nav["b_f"]), ("gyroscope", nav["b_w"])):
@@ -55,10 +55,10 @@ def position(replayed: Replayed) -> dict[str, Any] | None:
     last, filter_ = replayed.last, replayed.fold.filter
     if not last.known_ns:
         return None
-    end = odometry(filter_, last.end, 0)
+    end = odometry(filter_, last.known, 0)
     P = end.pose_covariance
     down = filter_.vehicle.axes.nav[2, 2]
-    heading = last.end[0]["nav"]["P"][ATTITUDE.stop - 1, ATTITUDE.stop - 1]
+    heading = last.known[0]["nav"]["P"][ATTITUDE.stop - 1, ATTITUDE.stop - 1]
     return {
         "distance": last.path.length,
         "horizontal": end.position[:2].tolist(),

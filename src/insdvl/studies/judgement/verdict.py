@@ -38,6 +38,7 @@ from insdvl.studies.judgement.numbers import (
 from insdvl.studies.judgement.withheld import WINDOWS, Withheld, predictions
 from insdvl.studies.replay.fold import Replayed
 from insdvl.studies.replay.taken import MOST
+from insdvl.watch.start import DIVERGED
 
 #: A sigma is seldom known better than by this factor; what is nearer to right is no finding.
 FACTOR = 1.5
@@ -103,21 +104,24 @@ def verdict(replayed: Replayed, parameters: FilterParameters, document: dict[str
         if u.report.measurement == Dvl.name and u.report.corrected
     }
     noise = dvl_noise(replayed.taken, filter_, replayed.ping_noise)
-    # Axes or units that are wrong make the rest meaningless, and its computation long; what they
-    # do to noise, gate and biases would be called the fault of these.
+    # Axes or units that are wrong, and a filter that diverges, make the rest meaningless, and its
+    # computation long; what they do to noise, gate and biases would be called the fault of these.
+    diverged = list(_of_divergence(document))
+    is_meaningful = not replayed.findings and not diverged
     mount = None
-    if not replayed.findings:
+    if is_meaningful:
         rng = np.random.default_rng(SEED)
         mount = mounting(replayed.taken, parameters, used, rng)
     part = replayed.taken.first(MOST)
     withheld = [
         found
         for seconds in WINDOWS
-        if not replayed.findings and (found := predictions(part, parameters, used, seconds))
+        if is_meaningful and (found := predictions(part, parameters, used, seconds))
     ]
     imu = imu_variances(part)
-    findings = [*_of_axes(replayed), *_of_start(document), *_of_claims(document, filter_)]
-    if not replayed.findings:
+    findings = [*_of_axes(replayed), *diverged, *_of_start(document)]
+    findings += _of_claims(document, filter_)
+    if is_meaningful:
         findings += [
             *_of_dvl_noise(noise, parameters),
             *_of_mount(mount, parameters),
@@ -189,6 +193,12 @@ def _not_shown(mount: Mount | None) -> Iterator[str]:
 def _of_axes(replayed: Replayed) -> Iterator[Finding]:
     for text in replayed.findings:
         yield Finding("axes", f"axes, units or mounts contradict the motion: {text}", "")
+
+
+def _of_divergence(document: dict[str, Any]) -> Iterator[Finding]:
+    if count := document["counts"]["diverged"]:
+        text = f"the filter has diverged and given up its state (diverged {count})"
+        yield Finding("diverged", text, DIVERGED)
 
 
 def _of_start(document: dict[str, Any]) -> Iterator[Finding]:

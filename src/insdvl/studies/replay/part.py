@@ -9,6 +9,7 @@ from insdvl.navigation.filter import LAYOUT, Filter
 from insdvl.navigation.geometry import odom
 from insdvl.navigation.state import State, counters
 from insdvl.studies.evaluation.metrics import path_length
+from insdvl.studies.replay.consumer import initialised
 from insdvl.timeline.output import AppliedUpdate, Final
 
 #: Fewest points of a long path; it has at most twice as many.
@@ -49,6 +50,7 @@ class Part:
         first_ns: Stamp of the first state.
         known_ns: Stamps of the first and the last initialised state; None without any.
         end: (1,) the last state, or none.
+        known: (1,) the last initialised state, or none.
         updates: The measurements, in the order of stamps.
         steps: Stamps at which a counter was raised and by how much, by the name of the counter.
         path: Of base_link.
@@ -59,6 +61,7 @@ class Part:
     first_ns: int = 0
     known_ns: tuple[int, int] | None = None
     end: Records = field(default_factory=lambda: LAYOUT.empty()[:0])
+    known: Records = field(default_factory=lambda: LAYOUT.empty()[:0])
     updates: list[AppliedUpdate] = field(default_factory=list)
     steps: dict[str, tuple[list[int], list[int]]] = field(default_factory=dict)
     path: Path = field(default_factory=Path)
@@ -75,14 +78,12 @@ class Part:
             self.first_ns = int(nav["time_ns"][0])
         self.size += len(states)
         self.end = states[-1:].copy()
-        started = np.flatnonzero(nav["initialised"])
-        if not started.size:
-            return
-        known = nav[started[0] :]
-        first_ns = self.known_ns[0] if self.known_ns else int(known["time_ns"][0])
-        self.known_ns = first_ns, int(known["time_ns"][-1])
-        chosen = known[self.path.chosen(len(known))]
-        self.path.add(len(known), _position(self.filter, chosen))
+        for known in initialised(states):
+            times_ns = known["nav"]["time_ns"]
+            first_ns = self.known_ns[0] if self.known_ns else int(times_ns[0])
+            self.known_ns, self.known = (first_ns, int(times_ns[-1])), known[-1:].copy()
+            chosen = known["nav"][self.path.chosen(len(known))]
+            self.path.add(len(known), _position(self.filter, chosen))
 
     def _count(self, states: Records) -> None:
         """Find the steps of the counters."""

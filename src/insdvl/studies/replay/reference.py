@@ -22,7 +22,7 @@ from insdvl.navigation.odometry import odometries
 from insdvl.recordings.base import Raw, decode
 from insdvl.recordings.played import Recording
 from insdvl.studies.evaluation.metrics import Track
-from insdvl.studies.replay.consumer import Consumer
+from insdvl.studies.replay.consumer import Consumer, initialised
 
 #: Messages that are read at once.
 _BATCH = 4096
@@ -125,12 +125,20 @@ class Reference(Consumer):
         """See `Consumer`."""
         if self._is_over:
             self._begin()
-        known = np.flatnonzero(states["nav"]["initialised"])
-        if not known.size:
-            return
+        follows = bool(states[0]["nav"]["initialised"])
+        for known in initialised(states):
+            if not follows:
+                self._row = None
+            self._take(filter_, known)
+            follows = False  # between two runs the filter knew nothing
+        if not states[-1]["nav"]["initialised"]:
+            self._row = None
+
+    def _take(self, filter_: Filter, states: Records) -> None:
+        """States that are all initialised, and follow the last one that was taken, if any."""
         times_ns = np.ascontiguousarray(states["nav"]["time_ns"])
         if self._row is None:
-            first = np.searchsorted(self._sorted_ns, times_ns[known[0]])
+            first = np.searchsorted(self._sorted_ns, times_ns[0])
         else:
             first = np.searchsorted(self._sorted_ns, self._row_ns, side="right")
         part = slice(first, np.searchsorted(self._sorted_ns, times_ns[-1], side="right"))

@@ -16,7 +16,7 @@ from insdvl.navigation.filter import Filter
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.recordings.bag_writer import BagWriter
 from insdvl.recordings.base import Raw
-from insdvl.studies.replay.consumer import Consumer
+from insdvl.studies.replay.consumer import Consumer, initialised
 from insdvl.studies.replay.fold import Replayed
 from insdvl.studies.replay.output_bag import OutputBag
 from insdvl.studies.replay.tables import (
@@ -95,16 +95,13 @@ class Output(Consumer):
 
     def take(self, filter_: Filter, states: Records) -> None:
         """See `Consumer`."""
-        started = np.flatnonzero(states["nav"]["initialised"])
-        if not started.size:
-            return
-        known = states[started[0] :]
-        ks = self._choice.of(known["nav"]["time_ns"])
-        if ks.size:
-            self._write(track_of(filter_, known, ks, self._part))
-        last = len(known) - 1
-        is_written = ks.size and ks[-1] == last
-        self._held = None if is_written else track_of(filter_, known, np.array([last]), self._part)
+        for known in initialised(states):
+            ks = self._choice.of(known["nav"]["time_ns"])
+            if ks.size:
+                self._write(track_of(filter_, known, ks, self._part))
+            last, self._held = len(known) - 1, None
+            if not ks.size or ks[-1] != last:
+                self._held = track_of(filter_, known, np.array([last]), self._part)
 
     def end(self) -> None:
         """See `Consumer`; the last state is written in any case."""

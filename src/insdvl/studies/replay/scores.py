@@ -127,7 +127,7 @@ def report(replayed: Replayed) -> dict[str, Any]:
     document = errors_at(replayed.at_reference, filter_, last.updates)
     start, findings, factor = None, [], None
     if last.known_ns:
-        state = last.end[0]
+        state = last.known[0]
         if filter_.parameters.process_noise.adaptive_factor:
             factor = summary(state).factor
         started = report_of_start(filter_, state)
