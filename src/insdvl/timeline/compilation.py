@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 
 from insdvl.navigation.events import NS, Event, Imu, ProcessNoise
+from insdvl.navigation.filter import LAYOUT
 from insdvl.navigation.measurement_noise import levels
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.measurements.heading import Heading
 from insdvl.navigation.parameters import FilterParameters
+from insdvl.navigation.process_noise import bank, factor
 from insdvl.navigation.start import gyrocompass
 from insdvl.timeline.fold import Fold
 
@@ -50,5 +52,15 @@ def compile_fold(parameters: FilterParameters) -> None:
         fold.add(event)
     fold.take()
     one = levels.Whitened(np.ones(3), np.ones(3))
+    _compile_bank()
     levels.learned(levels.moved(levels.PRIOR, 1.0), one, levels.SMALLEST)
     gyrocompass.jacobian(np.eye(3), 0.0, 0.0)  # calls the Earth's rate and gravity, as a start does
+
+
+def _compile_bank() -> None:
+    """The bank begins anew with each frozen sample, so a frozen IMU does not compile it."""
+    state = LAYOUT.empty()[0]
+    m, nav, eye = state[factor.GROUP], state["nav"], np.eye(3)
+    H, M = np.eye(3, bank.SIZE), np.zeros((3, 3))
+    bank.advance(m["errors"], m["P"], nav["C_n_b"], nav["v_n"], 9.8, eye, eye, 0.0, 0.0, 1.0)
+    bank.correct(m["errors"], m["P"], 1.0, H, np.zeros(3), eye, M, np.empty(bank.LEVELS.size))

@@ -22,7 +22,7 @@ from insdvl.timeline.output import AppliedUpdate
 from insdvl.timeline.recorded import fold_arrays
 
 #: A bias that walks so fast, as no parameter file may say, has no finite variance within seconds.
-WALK = 1e19
+WALK = 1e21
 NED = build(FilterParameters, {"frame_convention": "ned"})
 DIVERGING = replace(NED, process_noise=replace(NED.process_noise, accelerometer_bias_walk=WALK))
 MISSION = simulate(AUV, constant(np.full(6, 1e-4)), seed=1, duration=10.0, start_ns=NS)

@@ -37,7 +37,7 @@ _COLUMNS = TRACK.itemsize // 8
 #: A state has diverged if its numbers, or their variances, add up to more [SI]. No vehicle comes
 #: near. What a step or an output makes of less is finite, also in the single precision of a
 #: recording.
-LARGEST, LARGEST_VARIANCE = 1e8, 1e20
+LARGEST, LARGEST_VARIANCE = 1e8, 1e22
 
 
 @kernel

@@ -172,7 +172,7 @@ class Factor:
         usable = bank.correct(
             m["errors"],
             m["P"],
-            m["factor"],
+            float(m["factor"]),
             of_bank,
             now.innovation[rows],
             np.ascontiguousarray(now.S[np.ix_(rows, rows)]),
