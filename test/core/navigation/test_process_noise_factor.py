@@ -305,6 +305,7 @@ def state_after(events: list[Event], **values: Any) -> Any:
     return latest
 
 
+@pytest.mark.long
 def test_a_sensor_of_one_axis_tells_it(run: Run) -> None:
     """As the wheels of a car: nothing is known of the other axes."""
     events = [
@@ -414,6 +415,7 @@ def test_a_new_initial_state_begins_the_bank_and_keeps_the_factor(run: Run) -> N
     assert state["q_factor"]["begin_ns"] >= again.stamp_ns
 
 
+@pytest.mark.long
 def test_what_was_learned_fades_in_a_pause(run: Run) -> None:
     """By the time between the pings that teach, whatever lies between."""
     before = state_after(events_of(run, 60.0))["q_factor"]

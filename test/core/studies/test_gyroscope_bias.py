@@ -213,6 +213,7 @@ def test_a_speed_along_one_axis_needs_a_rest(tmp_path: Path) -> None:
     assert why.endswith("s under way: record a rest of 10 s at the start")
 
 
+@pytest.mark.long
 def test_a_large_bias_accuses_neither_scale_nor_mount(tmp_path: Path) -> None:
     """Within a window of 20 s it turns by 20 deg."""
     trajectory = replace(BASELINE["lawn_mower"], speed=Channel(1.6, waves=(Wave(0.3, 11.0),)))

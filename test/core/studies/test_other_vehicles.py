@@ -49,6 +49,7 @@ def line_of(text: str, *words: str) -> str:
     return line
 
 
+@pytest.mark.long
 def test_the_numbers_depend_on_neither_the_workers_nor_the_other_vehicles(
     document: dict[str, Any],
 ) -> None:

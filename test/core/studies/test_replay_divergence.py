@@ -108,6 +108,7 @@ def test_without_a_reference_that_is_finite_there_are_no_errors(tmp_path: Path) 
     assert document["reference_stamps"] == 0 and document["body_velocity_rmse"] is None
 
 
+@pytest.mark.long
 def test_a_roll_that_nothing_holds_is_navigated_to_the_end(tmp_path: Path) -> None:
     """A phone with a speed along x, started under way: large sigmas, and no infinity."""
     bag = recorded(tmp_path / "drive", phone(BASELINE["straight"], 150.0, 1, rate=10.0))
