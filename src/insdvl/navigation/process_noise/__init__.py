@@ -6,7 +6,7 @@ These modules are the only ones that write them, apart from the time-out in the 
 
 Sources: `constant` keeps the nominal; `external`, `message` and `oracle` receive a `ProcessNoise`;
 `adaptive` estimates from the innovations: Q itself, Q and R, or what a wrong Q has made of the
-predicted covariance.
+predicted covariance. Beside any source but `adaptive`, `factor` scales Q as the innovations tell.
 """
 
 from insdvl.navigation.measurements.base import Vehicle

@@ -40,8 +40,8 @@ from insdvl.navigation.state import (
 
 #: After so long [s] without a ping the bank begins again at the next one.
 PAUSE = 20.0
-#: So long [s] after its begin the bank teaches nothing: what it does not have, the biases, is
-#: least known then.
+#: For so long [s] after its start the bank teaches nothing: all levels have the filter's estimate
+#: then, and the filter itself may just have started.
 SETTLING = 10.0
 
 #: Name of the group of the state record.
