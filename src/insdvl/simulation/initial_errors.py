@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from insdvl.navigation.events import Initial
+from insdvl.navigation.geometry.frames import rotation_from_vector
 from insdvl.navigation.parameters import InitialParameters
 from insdvl.simulation.motion import Truth
 
@@ -52,14 +52,14 @@ def drawn_initial(
     psi = rng.standard_normal(3) * sigma.attitude_std
     if uniform_heading:
         psi[2] = rng.uniform(-math.pi, math.pi)
-    error = Rotation.from_rotvec(psi * _DOWN) * Rotation.from_rotvec(psi * (1.0 - _DOWN))
+    error = rotation_from_vector(psi * _DOWN) @ rotation_from_vector(psi * (1.0 - _DOWN))
     p_o = truth.p_o[0]
     if with_position:
         p_o = p_o + sigma.position_std * rng.standard_normal(3)
     v = v_b if sigma.velocity_frame == "body" else C_o_b @ v_b
     return Initial(
         stamp_ns=stamp_ns,
-        C_o_b=error.as_matrix().T @ C_o_b,
+        C_o_b=error.T @ C_o_b,
         p_o=p_o,
         v=v + sigma.velocity_std * rng.standard_normal(3),
         velocity_frame=sigma.velocity_frame,

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array
 from insdvl.navigation.events import NS
-from insdvl.watch.alignment.estimation import (
+from insdvl.watch.alignment.rows import (
     ACCELEROMETER,
     ARM,
     DELAY,

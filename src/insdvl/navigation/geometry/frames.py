@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from insdvl.arrays import Array
-from insdvl.navigation.geometry.rotation import quaternions
+from insdvl.navigation.geometry.rotation import quaternions, rotations
 
 
 @dataclass(frozen=True)
@@ -95,17 +95,10 @@ def quaternion_from_rotation(C: Array) -> Array:
 
 
 def rotation_from_vector(phi: Array) -> Array:
-    """Rotations exp([phi x]) (..., 3, 3) of rotation vectors (..., 3) [rad].
-
-    With K = [phi x] and a = |phi|, exp(K) = I + sin(a) / a K + 2 (sin(a / 2) / a)^2 K^2, which is
-    exact for small angles too.
-    """
-    x, y, z = np.moveaxis(np.asarray(phi, dtype=np.float64), -1, 0)
-    zero = np.zeros_like(x)
-    K = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*zero.shape, 3, 3)
-    angle = np.sqrt(x * x + y * y + z * z)[..., None, None]
-    half = np.sinc(angle / (2.0 * np.pi))
-    return np.eye(3) + np.sinc(angle / np.pi) * K + 0.5 * half * half * (K @ K)
+    """Rotations exp([phi x]) (..., 3, 3) of rotation vectors (..., 3) [rad]."""
+    C = np.empty((*np.shape(phi), 3))
+    rotations(C.reshape(-1, 3, 3), np.ascontiguousarray(phi, dtype=np.float64).reshape(-1, 3))
+    return C
 
 
 def vector_from_rotation(C: Array) -> Array:

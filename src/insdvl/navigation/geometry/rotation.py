@@ -133,6 +133,22 @@ def _polynomial(out: Array, a: float, b: float, x: float, y: float, z: float) ->
 
 
 @kernel
+def rotations(C: Array, phi: Array) -> None:
+    """Rotations C (N, 3, 3) = exp([phi x]) of rotation vectors phi (N, 3) [rad].
+
+    I + sin(a) / a [phi x] + 2 (sin(a / 2) / a)^2 [phi x]^2 with a = |phi|, which is exact for small
+    angles too.
+    """
+    for k in range(phi.shape[0]):
+        x, y, z = phi[k, 0], phi[k, 1], phi[k, 2]
+        angle = np.sqrt(x * x + y * y + z * z)
+        a, half = 1.0, 1.0
+        if angle > 0.0:
+            a, half = np.sin(angle) / angle, np.sin(angle / 2.0) / (angle / 2.0)
+        _polynomial(C[k], a, 0.5 * half * half, x, y, z)
+
+
+@kernel
 def orthonormalise(C: Array, scratch: Array) -> None:
     """One Newton step towards the nearest rotation, C <- C (3 I - C^T C) / 2, in place.
 

@@ -4,9 +4,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array
+from insdvl.navigation.geometry.frames import rotation_from_vector
 from insdvl.parameters.declaration import parameter
 from insdvl.simulation.motion import Truth
 from insdvl.simulation.noise import gauss_markov
@@ -62,5 +62,4 @@ def attitudes(truth: Truth, model: HeadingModel, rng: np.random.Generator) -> Ar
         steps = 1.0 / (model.rate * model.error_time_constant)
         heading[:, 2] += gauss_markov(np.full(1, model.error_std), steps, size, markov)[:, 0]
     tilt[:, :2] = model.roll_pitch_std * tilts.standard_normal((size, 2))
-    errors = Rotation.from_rotvec(heading) * Rotation.from_rotvec(tilt)
-    return np.asarray(errors.as_matrix() @ truth.C_n_b)
+    return rotation_from_vector(heading) @ rotation_from_vector(tilt) @ truth.C_n_b

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import legendre
-from scipy.signal import butter, sosfilt, sosfilt_zi
 
 from insdvl.arrays import Array
 from insdvl.parameters.declaration import ParameterError, parameter
@@ -55,6 +54,8 @@ class ImuModel:
         """Readings (N, 6) behind the low-pass, which is in its steady state at the first."""
         if self.bandwidth == 0.0:
             return readings
+        from scipy.signal import butter, sosfilt, sosfilt_zi  # takes a second: for those with one
+
         sections = butter(_ORDER, self.bandwidth, fs=self.rate, output="sos")
         before = sosfilt_zi(sections)[:, :, None] * readings[0]
         return np.asarray(sosfilt(sections, readings, axis=0, zi=before)[0])

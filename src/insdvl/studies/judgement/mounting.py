@@ -11,11 +11,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array
 from insdvl.navigation.events import NS, Event
-from insdvl.navigation.geometry.frames import rotation_from_rpy, rpy_from_rotation
+from insdvl.navigation.geometry.frames import (
+    rotation_from_rpy,
+    rotation_from_vector,
+    rpy_from_rotation,
+)
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.studies.judgement.added_noise import noisier
@@ -113,7 +116,7 @@ def told_otherwise(
     if unknown.name in _TURNS:
         vector = np.zeros(3)
         vector[_TURNS.index(unknown.name)] = change
-        turned = Rotation.from_rotvec(vector).as_matrix() @ rotation_from_rpy(np.array(dvl.mount))
+        turned = rotation_from_vector(vector) @ rotation_from_rpy(np.array(dvl.mount))
         mount = tuple(rpy_from_rotation(turned).tolist())
         return replace(parameters, dvl=replace(dvl, mount=mount)), events
     if unknown.name in ARMS:

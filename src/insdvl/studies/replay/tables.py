@@ -8,10 +8,10 @@ import re
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array, Stamps
 from insdvl.navigation.events import NS
+from insdvl.navigation.geometry.frames import rpy_from_rotation
 from insdvl.studies.evaluation.metrics import attitude_error
 from insdvl.studies.replay.reference import AtReference
 from insdvl.studies.replay.track import TrackColumns
@@ -89,7 +89,7 @@ def reference_columns(at: AtReference) -> dict[str, Array] | None:
     if len(at) < 2:
         return None
     truth, track, sigma = at.truth, at.track, at.sigma
-    yaw = Rotation.from_matrix(truth.C_n_b).as_euler("xyz")[:, 2]
+    yaw = rpy_from_rotation(truth.C_n_b)[:, 2]
     psi = np.degrees(attitude_error(track.C_n_b, truth.C_n_b))
     return {
         **_named("position", truth.p_o),

@@ -11,7 +11,8 @@ from itertools import permutations, product
 import numpy as np
 
 from insdvl.arrays import Array
-from insdvl.watch.alignment.estimation import (
+from insdvl.watch.alignment.estimation import Prior
+from insdvl.watch.alignment.rows import (
     ACCELEROMETER,
     ARM,
     DELAY,
@@ -21,7 +22,6 @@ from insdvl.watch.alignment.estimation import (
     SCALE,
     SIZE,
     YAW,
-    Prior,
 )
 
 #: Metres per second in the units that a DVL's driver may give.

@@ -29,6 +29,7 @@ from insdvl.navigation.state import FOREVER, NEVER
 from insdvl.tuner.features.differences import integrated_variances
 from insdvl.watch.alignment.causes import Miswired, miswired
 from insdvl.watch.alignment.gravity import GravityCheck
+from insdvl.watch.alignment.rows import SIZE, Mounted, rows
 from insdvl.watch.alignment.search import Explanation, Motion, Samples, Search
 from insdvl.watch.alignment.sentences import Alignment, Remedy, Terms
 from insdvl.watch.alignment.windows import SLOW, integrated
@@ -399,7 +400,8 @@ def compile_check(parameters: FilterParameters) -> None:
         check.add(Dvl(k * step_ns + step_ns // 2, np.full(3, 0.01 * k)))
     check.add(Dvl(4 * step_ns, np.full(3, 0.01)))
     stamps, zeros = step_ns * np.arange(1, 4), np.zeros((3, 3))
-    integrated(stamps, zeros, zeros, stamps, zeros, 0.0)  # as after a window
+    window = integrated(stamps, zeros, zeros, stamps, zeros, 0.0)  # as after a window
+    rows(window, Mounted(np.eye(3), np.zeros(3)), np.zeros(SIZE))
     samples = np.zeros((round(WINDOW_NS / step_ns), 6))
     integrated_variances(samples, parameters.imu.rate)  # as the noise of a window
     vector_from_rotation(np.eye(3))  # as an explanation does

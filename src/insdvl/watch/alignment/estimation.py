@@ -1,11 +1,6 @@
-"""How the DVL is mounted against the IMU, from windows of motion.
+"""How the DVL is mounted against the IMU: the most probable values, from windows of motion.
 
-The derivation is in docs/explanation/alignment.md. With the right values, in each window
-
-    y(t) = R (C v_d - kappa w x l) - kappa F,   kappa = 1 / scale,
-
-is a parabola in t but for the noise of the DVL; the scale stands at the IMU's side, so that this
-noise, which is in v_d, is the same for every C and does not bias it.
+The derivation is in docs/explanation/alignment.md; the residuals are those of rows.py.
 """
 
 import itertools
@@ -17,19 +12,8 @@ import numpy as np
 
 from insdvl.arrays import Array
 from insdvl.navigation.geometry.frames import rotation_from_vector, vector_from_rotation
+from insdvl.watch.alignment.rows import DELAY, MOUNT, SCALE, SIZE, Mounted, rows
 from insdvl.watch.alignment.windows import SLOW, Bases, Noise, Window, joined
-
-#: Columns of the unknowns: a turn of the DVL [rad], ln(kappa), change of the lever arm [m], delay
-#: of the DVL [s], biases [m/s^2, rad/s], relative error of the gyroscope's scale.
-MOUNT = slice(0, 3)
-YAW = 2
-SCALE = 3
-ARM = slice(4, 7)
-DELAY = 7
-ACCELEROMETER = slice(8, 11)
-GYROSCOPE = slice(11, 14)
-GYROSCOPE_SCALE = 14
-SIZE = 15
 
 CLIMB = 0.1  # one sigma of the mean vertical velocity, as a part of the speed
 MOST_NOISE = 0.25  # of the power of F, up to which the noise in it is known well enough
@@ -56,57 +40,6 @@ class Prior:
 
     mean: Array
     sigma: Array
-
-
-@dataclass(frozen=True)
-class Mounted:
-    """The mount of the DVL as the parameters tell it, in body axes.
-
-    Attributes:
-        C_b_d: (3, 3) DVL to body.
-        l_b: (3,) from the IMU to the DVL [m].
-    """
-
-    C_b_d: Array
-    l_b: Array
-
-
-def _skews(a: Array) -> Array:
-    """[a x] (..., 3, 3)."""
-    out = np.zeros((*a.shape, 3))
-    out[..., 0, 1], out[..., 0, 2] = -a[..., 2], a[..., 1]
-    out[..., 1, 0], out[..., 1, 2] = a[..., 2], -a[..., 0]
-    out[..., 2, 0], out[..., 2, 1] = -a[..., 1], a[..., 0]
-    return out
-
-
-def rows(w: Window, known: Mounted, x: Array) -> Array:
-    """Partial derivatives of y by the unknowns, and y itself in the last column (K, 3, 16).
-
-    Args:
-        w: K pings.
-        known: The mount from which the unknowns count.
-        x: (15,) values of the unknowns.
-    """
-    kappa = math.exp(x[SCALE])
-    turned = w.v_d @ (rotation_from_vector(x[MOUNT]) @ known.C_b_d).T
-    of_arm = np.cross(w.w, known.l_b + x[ARM])
-    u = turned - kappa * of_arm
-    Ru = np.einsum("kij,kj->ki", w.R, u)
-    R_turned = np.einsum("kij,kj->ki", w.R, turned)
-    angle = w.Phi @ x[GYROSCOPE] + w.xi * x[GYROSCOPE_SCALE]
-    F = w.F - w.Phi @ x[ACCELEROMETER] - w.Psi @ x[GYROSCOPE] - w.Xi * x[GYROSCOPE_SCALE]
-    moved = np.einsum("kij,kj->ki", w.R, np.cross(w.w, u) - kappa * w.f)
-    out = np.empty((len(w.t), 3, SIZE + 1))
-    out[:, :, MOUNT] = -w.R @ _skews(turned)
-    out[:, :, SCALE] = Ru - R_turned - kappa * F
-    out[:, :, ARM] = -kappa * (w.R @ _skews(w.w))
-    out[:, :, DELAY] = -moved
-    out[:, :, ACCELEROMETER] = kappa * w.Phi
-    out[:, :, GYROSCOPE] = _skews(Ru) @ w.Phi + kappa * w.Psi
-    out[:, :, GYROSCOPE_SCALE] = np.cross(Ru, w.xi) + kappa * w.Xi
-    out[:, :, -1] = Ru - np.cross(angle, Ru) - kappa * F - x[DELAY] * moved
-    return out
 
 
 @dataclass(frozen=True)

@@ -12,21 +12,17 @@ from insdvl.navigation.geometry.frames import rotation_from_vector
 from insdvl.tuner.features.differences import integrated_variances
 from insdvl.watch.alignment.causes import NOTHING, TURNS, Cause, Miswired
 from insdvl.watch.alignment.estimation import (
-    MOUNT,
-    SCALE,
-    SIZE,
     Fit,
     Information,
-    Mounted,
     Prior,
     Problem,
     Travel,
     information,
     linear_fit,
     linear_spread,
-    rows,
 )
 from insdvl.watch.alignment.gravity import GRAVITY
+from insdvl.watch.alignment.rows import MOUNT, SCALE, SIZE, Mounted, rows
 from insdvl.watch.alignment.windows import SLOW, Bases, Noise, Window, integrated
 
 SMALLEST = 1e-3  # m/s, noise of a DVL; none is better

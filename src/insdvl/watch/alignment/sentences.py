@@ -17,15 +17,8 @@ from insdvl.navigation.geometry.frames import (
 )
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.watch.alignment.causes import DEGREES, UNITS, Cause, Miswired
-from insdvl.watch.alignment.estimation import (
-    ARM,
-    DELAY,
-    GYROSCOPE_SCALE,
-    MOUNT,
-    SCALE,
-    Fit,
-    Mounted,
-)
+from insdvl.watch.alignment.estimation import Fit
+from insdvl.watch.alignment.rows import ARM, DELAY, GYROSCOPE_SCALE, MOUNT, SCALE, Mounted
 from insdvl.watch.alignment.search import Explanation
 
 FORWARD = math.radians(30.0)  # a vehicle travels forward within it; two courses that differ by it

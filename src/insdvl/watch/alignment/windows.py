@@ -124,15 +124,16 @@ def integrated(
     state, out = np.zeros(_COLUMNS), np.empty((len(pings), _COLUMNS))
     state[_R] = np.eye(3).ravel()
     _integrate(t, f, w, at, state, out)
+    R, F, Phi, Psi, xi, Xi = (out[:, part].copy() for part in (_R, _F, _PHI, _PSI, _XI, _OMEGA))
     return Window(
         t=at,
         v_d=v_d,
-        R=out[:, _R].reshape(-1, 3, 3),
-        F=out[:, _F],
-        Phi=out[:, _PHI].reshape(-1, 3, 3),
-        Psi=out[:, _PSI].reshape(-1, 3, 3),
-        xi=out[:, _XI],
-        Xi=out[:, _OMEGA],
+        R=R.reshape(-1, 3, 3),
+        F=F,
+        Phi=Phi.reshape(-1, 3, 3),
+        Psi=Psi.reshape(-1, 3, 3),
+        xi=xi,
+        Xi=Xi,
         w=_means(t, w, at, average),
         f=_means(t, f, at, average),
     )
