@@ -4,10 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array
 from insdvl.navigation.events import NS
+from insdvl.navigation.geometry.frames import rotation_from_quaternion
 from insdvl.studies.evaluation.metrics import Scores, Track, scores
 from insdvl.studies.report import plots
 from ros_insdvl.monitor import Monitor
@@ -19,7 +19,7 @@ from ros_insdvl_sim.trials.environment import TrialError
 def track_of(rows: Array) -> Track:
     """The states of an odometry series."""
     return Track(
-        C_n_b=Rotation.from_quat(rows[:, OdometrySeries.QUATERNION]).as_matrix(),
+        C_n_b=rotation_from_quaternion(rows[:, OdometrySeries.QUATERNION]),
         v_b=rows[:, OdometrySeries.VELOCITY],
         p_o=rows[:, OdometrySeries.POSITION],
     )

@@ -6,6 +6,7 @@ import numpy as np
 
 from insdvl.navigation.events import NS, Event, Imu, ProcessNoise
 from insdvl.navigation.filter import LAYOUT
+from insdvl.navigation.geometry.frames import rotation_from_quaternion, rotation_from_vector
 from insdvl.navigation.measurement_noise import levels
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.measurements.heading import Heading
@@ -51,6 +52,9 @@ def compile_fold(parameters: FilterParameters) -> None:
     for event in events:
         fold.add(event)
     fold.take()
+    # As the attitudes of messages, and of a heading.
+    rotation_from_vector(np.zeros(3))
+    rotation_from_quaternion(np.array([0.0, 0.0, 0.0, 1.0]))
     one = levels.Whitened(np.ones(3), np.ones(3))
     _compile_bank()
     levels.learned(levels.moved(levels.PRIOR, 1.0), one, levels.SMALLEST)

@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from insdvl.arrays import Array
-from insdvl.navigation.geometry.rotation import quaternions, rotations
+from insdvl.navigation.geometry.rotation import quaternions, rotations, rotations_of_quaternions
 
 
 @dataclass(frozen=True)
@@ -73,18 +73,16 @@ def rpy_from_rotation(C: Array) -> Array:
 
 
 def rotation_from_quaternion(q_xyzw: Array) -> Array:
-    """Rotation (3, 3) from a quaternion (x, y, z, w); it is normalised, zero is a ValueError."""
-    norm = float(np.linalg.norm(q_xyzw))
-    if norm == 0.0:
+    """Rotations (..., 3, 3) from quaternions (..., 4) as (x, y, z, w), which are normalised.
+
+    Raises:
+        ValueError: One is zero.
+    """
+    q = np.ascontiguousarray(q_xyzw, dtype=np.float64)
+    C = np.empty((*q.shape[:-1], 3, 3))
+    if not rotations_of_quaternions(C.reshape(-1, 3, 3), q.reshape(-1, 4)):
         raise ValueError("a quaternion must not have zero norm")
-    x, y, z, w = np.asarray(q_xyzw) / norm
-    return np.array(
-        [
-            [w * w + x * x - y * y - z * z, 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-            [2.0 * (x * y + w * z), w * w - x * x + y * y - z * z, 2.0 * (y * z - w * x)],
-            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z],
-        ]
-    )
+    return C
 
 
 def quaternion_from_rotation(C: Array) -> Array:

@@ -196,3 +196,25 @@ def quaternions(q_xyzw: Array, C: Array) -> None:
         sign = -1.0 if q[3] < 0.0 else 1.0
         for i in range(4):
             q[i] *= sign / norm
+
+
+@kernel
+def rotations_of_quaternions(C: Array, q_xyzw: Array) -> bool:
+    """Rotations C (N, 3, 3) of quaternions (N, 4), of any norm but zero, which is False."""
+    for k in range(q_xyzw.shape[0]):
+        x, y, z, w = q_xyzw[k]
+        norm = np.sqrt(x * x + y * y + z * z + w * w)
+        if norm == 0.0:
+            return False
+        x, y, z, w = x / norm, y / norm, z / norm, w / norm
+        R = C[k]
+        R[0, 0] = w * w + x * x - y * y - z * z
+        R[0, 1] = 2.0 * (x * y - w * z)
+        R[0, 2] = 2.0 * (x * z + w * y)
+        R[1, 0] = 2.0 * (x * y + w * z)
+        R[1, 1] = w * w - x * x + y * y - z * z
+        R[1, 2] = 2.0 * (y * z - w * x)
+        R[2, 0] = 2.0 * (x * z - w * y)
+        R[2, 1] = 2.0 * (y * z + w * x)
+        R[2, 2] = w * w - x * x - y * y + z * z
+    return True

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from insdvl.arrays import Array, Records
 from insdvl.navigation.coordinates import attitude_error, position_error, velocity_error
@@ -107,5 +107,5 @@ def band(block: str, runs: int, probability: float = 0.997) -> tuple[float, floa
     mean over time is nearer to 1.
     """
     dof = degrees_of_freedom(block) * runs
-    low, high = chi2.ppf([(1.0 - probability) / 2.0, (1.0 + probability) / 2.0], dof) / dof
+    low, high = chdtri(dof, [(1.0 + probability) / 2.0, (1.0 - probability) / 2.0]) / dof
     return float(low), float(high)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from insdvl.arrays import Array
 from insdvl.messages.topics import HEADING
@@ -305,7 +305,7 @@ def fly(
     covariance = np.array([o.pose_covariance[:2, :2] for o in published])
     return Flight(
         nees=metrics.nees(errors(run)[:, HORIZONTAL_POSITION], P) / 2.0,
-        inside=metrics.nees(d, covariance) <= chi2.ppf(ELLIPSE, 2),
+        inside=metrics.nees(d, covariance) <= chdtri(2, 1.0 - ELLIPSE),
         error=np.hypot(d[:, 0], d[:, 1]),
         heading_deg=heading_deg(run),
         heading_sigma_deg=heading_sigma_deg(run),

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from insdvl.arrays import Array
 from insdvl.jobs.pool import Pool
@@ -86,7 +86,7 @@ def block_run(case: Case, seed: int) -> dict[str, Array]:
         (B, len(LEVELS)) the fraction of the run in which the truth is inside the region.
     """
     found = nees(flown(case, seed))
-    region = {name: [chi2.ppf(p, dof) / dof for p in LEVELS] for name, dof in _DOF.items()}
+    region = {name: [chdtri(dof, 1.0 - p) / dof for p in LEVELS] for name, dof in _DOF.items()}
     return {
         "nees": np.array([np.mean(found[name]) for name in ALL]),
         "inside": np.array([[np.mean(found[name] <= r) for r in region[name]] for name in ALL]),

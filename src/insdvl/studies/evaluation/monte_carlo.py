@@ -4,12 +4,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array, Stamps
 from insdvl.navigation.coordinates import body_velocity_jacobian, position_error
 from insdvl.navigation.error_state import ACCELEROMETER_BIAS, ATTITUDE, GYROSCOPE_BIAS, POSITION
 from insdvl.navigation.events import NS, Event, Imu, Initial, ProcessNoise, SensorNoise
+from insdvl.navigation.geometry.frames import rotation_from_vector
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.odometry import position_in_odom
 from insdvl.navigation.parameters import FilterParameters
@@ -226,7 +226,7 @@ def perfect_heading(result: Track, truth: Track) -> Track:
     """A result without its error about the vertical in attitude and NED velocity."""
     psi = attitude_error(result.C_n_b, truth.C_n_b)
     psi[:, :2] = 0.0
-    return replace(result, C_n_b=Rotation.from_rotvec(psi).as_matrix() @ result.C_n_b)
+    return replace(result, C_n_b=rotation_from_vector(psi) @ result.C_n_b)
 
 
 def failed(

@@ -6,7 +6,6 @@ from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array, Records, Stamps
 from insdvl.messages import convert
@@ -16,7 +15,12 @@ from insdvl.messages.convert import RejectedMessage
 from insdvl.messages.topics import TRUTH
 from insdvl.navigation.events import MAX_VARIANCE
 from insdvl.navigation.filter import Filter
-from insdvl.navigation.geometry.frames import NED
+from insdvl.navigation.geometry.frames import (
+    NED,
+    rotation_from_quaternion,
+    rotation_from_vector,
+    vector_from_rotation,
+)
 from insdvl.navigation.geometry.odom import MAX_FROM_ORIGIN
 from insdvl.navigation.odometry import odometries
 from insdvl.recordings.base import Raw, decode
@@ -50,7 +54,7 @@ def _states_of(raws: Sequence[Raw]) -> tuple[Stamps, Array, Array, Array]:
     is_known &= _is_plain(told)
     stamps_ns, v_b, p_o = told.stamps_ns, told.linear, told.position
     C = np.empty((len(raws), 3, 3))
-    C[is_known] = Rotation.from_quat(told.quaternion_xyzw[is_known]).as_matrix()
+    C[is_known] = rotation_from_quaternion(told.quaternion_xyzw[is_known])
     for k in np.flatnonzero(~is_known).tolist():
         try:
             event = convert.initial(decode(raws[k]).message, NED, once=True)
@@ -191,9 +195,9 @@ def _between(
     def between(column: Array) -> Array:
         return np.where(exact, column[b], column[a] + share * (column[b] - column[a]))
 
-    attitudes = Rotation.from_quat(table["quaternion_xyzw"][:, 0])
-    turn = (attitudes[a].inv() * attitudes[b]).as_rotvec()
-    C = (attitudes[a] * Rotation.from_rotvec(share * turn)).as_matrix()
+    attitudes = rotation_from_quaternion(table["quaternion_xyzw"][:, 0])
+    turn = vector_from_rotation(np.swapaxes(attitudes[a], -1, -2) @ attitudes[b])
+    C = attitudes[a] @ rotation_from_vector(share * turn)
     variances: Sequence[Array] = [
         np.diagonal(table[name], axis1=1, axis2=2)[:, :3]
         for name in ("twist_covariance", "pose_covariance")

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from insdvl.arrays import Array, Records, Stamps
 from insdvl.messages.cdr.odometry_bytes import OdometryColumns
 from insdvl.navigation.error_state import ACCELEROMETER_BIAS, GYROSCOPE_BIAS
 from insdvl.navigation.events import NS
 from insdvl.navigation.filter import Filter
+from insdvl.navigation.geometry.frames import rotation_from_quaternion, rpy_from_rotation
 from insdvl.navigation.odometry import Odometry, odometries
 
 #: Part of an interval by which a state may be early: stamps are rounded.
@@ -69,7 +69,7 @@ class TrackColumns:
     @property
     def rpy(self) -> Array:
         """(N, 3) roll, pitch and yaw [rad]."""
-        return np.asarray(Rotation.from_quat(self.quaternion_xyzw).as_euler("xyz"))
+        return rpy_from_rotation(rotation_from_quaternion(self.quaternion_xyzw))
 
     @property
     def in_map(self) -> OdometryColumns:
