@@ -296,7 +296,10 @@ def test_conventions_agree_where_they_mean_the_same():
     np.testing.assert_allclose(P15(one), P15(other), rtol=1e-9, atol=1e-18)
 
 
-@pytest.mark.parametrize(("model", "bias_model"), [("invariant", "gauss_markov"), ("ned", "none")])
+@pytest.mark.parametrize(
+    ("model", "bias_model"),
+    [("invariant", "gauss_markov"), pytest.param("ned", "none", marks=pytest.mark.long)],
+)
 def test_a_million_steps(model, bias_model):
     """P stays symmetric and positive, C orthonormal: 10^6 predictions with 1000 updates."""
     parameters = parameters_of(model, "per_sample", bias_model, gate=GateParameters(enabled=False))

@@ -538,7 +538,7 @@ def test_numbers_beyond_all_numbers_leave_the_state_alone(enabled: bool) -> None
 # ------------------------------------------------------------------ outages
 
 
-@pytest.mark.parametrize("outage", [10.0, 120.0])
+@pytest.mark.parametrize("outage", [10.0, pytest.param(120.0, marks=pytest.mark.long)])
 def test_an_outage_is_covered_and_left_smoothly(outage: float) -> None:
     """30 s of pings, an outage, 30 s of pings: errors within sigma, and no jump beyond it."""
     nees, nis, worst, rejected = [], [], [], 0

@@ -181,7 +181,7 @@ def written(bag: Path) -> tuple[float, str]:
     return value, line[1]
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_a_car_with_the_imu_of_a_phone_keeps_its_track(
     seed: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

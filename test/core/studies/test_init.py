@@ -154,7 +154,14 @@ def test_a_simulator_without_noise_gives_parameters_that_a_filter_takes(tmp_path
 
 
 @pytest.mark.parametrize(
-    ("rate", "corner"), [(62.5, 6.0), (100.0, 8.0), (200.0, 15.0), (1000.0, 50.0)]
+    ("rate", "corner"),
+    [
+        (62.5, 6.0),
+        *(
+            pytest.param(*both, marks=pytest.mark.long)
+            for both in ((100.0, 8.0), (200.0, 15.0), (1000.0, 50.0))
+        ),
+    ],
 )
 def test_an_imu_with_a_low_pass_has_the_noise_below_it_and_accuses_nothing(
     rate: float, corner: float, tmp_path: Path
@@ -197,7 +204,14 @@ def test_vibration_is_no_noise_of_a_sample(frequency: float, tmp_path: Path) -> 
     assert "at low frequencies" in written.read_text()
 
 
-@pytest.mark.parametrize(("rate", "seed"), [(100.0, 1), (100.0, 3), (200.0, 3)])
+@pytest.mark.parametrize(
+    ("rate", "seed"),
+    [
+        (100.0, 1),
+        pytest.param(100.0, 3, marks=pytest.mark.long),
+        pytest.param(200.0, 3, marks=pytest.mark.long),
+    ],
+)
 def test_vibration_is_no_reason_to_believe_a_dvl_more(
     rate: float, seed: int, tmp_path: Path
 ) -> None:
