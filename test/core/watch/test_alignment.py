@@ -43,8 +43,7 @@ def reversed_axis(axis: str) -> Array:
 
 def check(found: Iterable[Event], **parameters: Any) -> list[str]:
     watch = AlignmentCheck(build(FilterParameters, parameters))
-    for event in found:
-        watch.add(event)
+    watch.add_events(found)
     return watch.findings()
 
 
@@ -256,11 +255,13 @@ def test_events_together_say_what_they_say_one_by_one(mission: Mission) -> None:
     wrong = events(mission, w=reversed_axis("z"))
     rng = np.random.default_rng(1)
     wrong = sorted(wrong, key=lambda e: e.stamp_ns + int(rng.integers(0, NS // 50)))
-    together = AlignmentCheck(build(FilterParameters, {}))
+    together, one_by_one = (AlignmentCheck(build(FilterParameters, {})) for _ in range(2))
     for first in range(0, len(wrong), 50):
         together.add_events(wrong[first : first + 50])
+    for event in wrong:
+        one_by_one.add(event)
     (finding,) = together.findings()
-    assert [finding] == check(wrong)
+    assert one_by_one.findings() == [finding]
 
 
 def test_a_gap_begins_a_new_window(mission: Mission) -> None:

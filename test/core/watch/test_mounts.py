@@ -107,8 +107,7 @@ def numbers(text: str) -> list[float]:
 def is_named(case: str, grade: str, duration: float) -> None:
     dvl, matrices, parameter, values, tolerance = CASES[case]
     check = check_of(grade)
-    for event in events(mission_of(grade, duration=duration, **dvl), **matrices):
-        check.add(event)
+    check.add_events(events(mission_of(grade, duration=duration, **dvl), **matrices))
     if grade == "mems" and case.startswith("scale"):
         # Too noisy to rule out a DVL that is pitched within five minutes; the value is right.
         found = check.alignment()
@@ -147,8 +146,7 @@ def test_it_is_named_with_every_grade_of_imu(
 
 def test_an_arm_that_is_missing_accuses_nothing_else() -> None:
     check = check_of("fog")
-    for event in events(mission_of("fog", lever_arm=(1.5, 0.0, 0.0))):
-        check.add(event)
+    check.add_events(events(mission_of("fog", lever_arm=(1.5, 0.0, 0.0))))
     (finding,) = check.findings()
     assert finding.startswith("the lever arm of the DVL is wrong")
     assert "; or " not in finding
@@ -162,8 +160,7 @@ def test_a_dvl_upside_down_is_named_where_it_has_something_to_measure() -> None:
     arm = (1.0, 0.0, 0.3)
     model = {"lever_arm": arm, "mount": (math.pi, 0.0, 0.0)}
     check = check_of("fog", **{"dvl.lever_arm": list(arm)})
-    for event in events(mission_of("fog", trajectory=waves, duration=200.0, **model)):
-        check.add(event)
+    check.add_events(events(mission_of("fog", trajectory=waves, duration=200.0, **model)))
     (finding,) = check.findings()
     assert "; or " not in finding
     roll, pitch, yaw = numbers(finding.partition("set dvl.mount to")[2])
@@ -176,8 +173,7 @@ def test_stamps_that_are_late_are_measured_where_the_speed_changes() -> None:
     """A delay of 0.19 s, within 50 ms, and its sigma tells how far that can be trusted."""
     waves = replace(SURVEY, speed=Channel(1.8, waves=(Wave(0.3, 12.0), Wave(0.2, 7.0))))
     check = check_of("fog")
-    for event in events(mission_of("fog", trajectory=waves), late=0.19):
-        check.add(event)
+    check.add_events(events(mission_of("fog", trajectory=waves), late=0.19))
     check.finish()  # all windows at once, as at the end of a recording
     found = check.alignment()
     assert found is not None
@@ -194,8 +190,7 @@ def test_a_straight_track_tells_nothing_of_a_wrong_mount() -> None:
     straight = replace(SURVEY, speed=Channel(1.8), heading=Channel(0.3))
     check = check_of("fog")
     wrong = {"mount": (0.0, 0.0, 0.8), "lever_arm": (1.5, 0.0, 0.0)}
-    for event in events(mission_of("fog", trajectory=straight, duration=150.0, **wrong)):
-        check.add(event)
+    check.add_events(events(mission_of("fog", trajectory=straight, duration=150.0, **wrong)))
     assert check.findings() == []
     found = check.alignment()
     assert found is not None
