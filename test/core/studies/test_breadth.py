@@ -20,7 +20,9 @@ def document(tmp_path_factory: pytest.TempPathFactory) -> dict:
     """Three lines of two IMUs, with short missions and a search among two constants."""
     search, folder = comparison.constants, tmp_path_factory.mktemp("store")
     short = [
-        replace(plan, duration=155.0, rows=("best constant", "bands", "oracle"))
+        replace(
+            plan, duration=155.0, rows=("best constant", "bands", "bands with factor", "oracle")
+        )
         for plan in breadth.plans()
         if plan.scenario == "coloured"
         and plan.setting.sensors.imu_grade in ("fog", "mems")
@@ -63,7 +65,10 @@ def test_each_grade_meets_each_rate_and_outages() -> None:
     # The store keeps the runs by the label, and the searches by the vehicle.
     assert len({plan.label for plan in planned}) == len(planned) == len(found)
     assert len({plan.vehicle for plan in planned}) == 36
-    for name in ("bands with R adaptive", "bands with R adaptive and DVL error"):
+    for name in (
+        "bands with factor and R adaptive",
+        "bands with factor and R adaptive and DVL error",
+    ):
         assert {plan.scenario for plan in planned if name in plan.rows} == {"realistic"}
 
 
@@ -93,9 +98,13 @@ def test_the_page_has_the_numbers_of_the_document(document: dict) -> None:
     blocks = [f"{nees[f'outage_{name}']:.2f}" for name in ("velocity", "position", "depth")]
     assert ", ".join(blocks) in lines[3]
     slow = comparison_of(document, "mems", 0.2, 0.0)
-    middle, low, high = breadth.ratio(slow, "bands", "best constant", "body_rmse")
     lines = [x for x in text.splitlines() if x.startswith("| `coloured`, mems, 0.2 Hz |")]
-    assert lines[0].endswith(f"| {middle:.3f} [{low:.3f}, {high:.3f}] |")
+    ratios = [
+        breadth.ratio(slow, name, "best constant", "body_rmse")
+        for name in ("bands", "bands with factor")
+    ]
+    cells = [f"{middle:.3f} [{low:.3f}, {high:.3f}]" for middle, low, high in ratios]
+    assert lines[0].endswith(f"| {' | '.join(cells)} |")
     assert "2 runs of each line, seed 4" in text
 
 
@@ -117,14 +126,14 @@ def test_a_target_is_met_when_every_line_meets_it(document: dict) -> None:
     assert line_of(text, words).endswith(
         "| 3 of 4; worst 0.980 [0.970, 1.001] (mems, 0.2 Hz) | **no** |"
     )
-    line = line_of(text, "`coloured`: NEES of the velocity")
+    line = line_of(text, "`coloured`: NEES of the velocity, `bands`,")
     assert line.endswith("| 3 of 4; worst 0.84 (fog, 1 Hz) | **no** |")
 
 
 def test_a_row_that_has_failed_meets_no_target(document: dict) -> None:
     changed = deepcopy(document)
     bands_of(comparison_of(changed, "mems", 1.0, 60.0))["ratio_to"] = {}
-    line = line_of(page_of(changed), "`coloured`: drift after 60 s")
+    line = line_of(page_of(changed), "`coloured`: drift after 60 s, `bands` /")
     assert line.endswith("; worst failed (mems, 60 s) | **no** |")
 
 
@@ -132,5 +141,5 @@ def test_an_outage_of_another_length_is_not_judged(document: dict) -> None:
     changed = deepcopy(document)
     for grade in ("fog", "mems"):
         comparison_of(changed, grade, 1.0, 60.0)["outage"] = 120.0
-    line = line_of(page_of(changed), "`coloured`: drift after 60 s")
+    line = line_of(page_of(changed), "`coloured`: drift after 60 s, `bands` /")
     assert line.endswith("| not computed |  |")

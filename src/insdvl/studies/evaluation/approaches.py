@@ -121,9 +121,8 @@ BANDS_WITH_ERROR = "bands with R adaptive and DVL error"
 R_NOMINAL_WITH_FACTOR, R_ADAPTIVE_WITH_FACTOR = "R nominal with factor", "R adaptive with factor"
 FACTOR_WITH_R = "bands with factor and R adaptive"
 FACTOR_WITH_ERROR = "bands with factor and R adaptive and DVL error"
-#: The rows whose Q and R are both learned, first those without the factor.
-WITHOUT_FACTOR = (BANDS_WITH_R, BANDS_WITH_ERROR)
-WITH_R = (*WITHOUT_FACTOR, FACTOR_WITH_R, FACTOR_WITH_ERROR)
+#: The rows whose Q and R are both learned, without the factor and with it.
+WITH_R = (BANDS_WITH_R, BANDS_WITH_ERROR, FACTOR_WITH_R, FACTOR_WITH_ERROR)
 R_SOURCES = {
     R_NOMINAL: "nominal",
     "R adaptive": "adaptive",

@@ -14,12 +14,14 @@ from insdvl.jobs.store import Store
 from insdvl.simulation.grades import GRADES
 from insdvl.studies.evaluation.approaches import (
     BANDS,
+    BANDS_WITH_FACTOR,
     BEST_CONSTANT,
     CLOSED_FORM,
+    FACTOR_WITH_ERROR,
+    FACTOR_WITH_R,
     LEAST_BAND,
     MATCHED,
     ORACLE,
-    WITHOUT_FACTOR,
     Setting,
 )
 from insdvl.studies.evaluation.comparison import Plan, compare
@@ -32,9 +34,13 @@ RATES = (5.0, 1.0, 0.2)  # Hz
 LENGTH, LENGTHS = 60.0, (30.0, 60.0, 120.0)
 RUNS = 10
 
-#: In the order of the tables. What is learned of R has a meaning in `realistic`, where R is not
-#: that of the data sheet.
-_ROWS = (BEST_CONSTANT, CLOSED_FORM, LEAST_BAND, BANDS, ORACLE, MATCHED, *WITHOUT_FACTOR)
+#: Learned Q and learned R, which has a meaning in `realistic`: R is not that of the data sheet.
+WITH_R = (FACTOR_WITH_R, FACTOR_WITH_ERROR)
+#: In the order of the tables.
+_ROWS = (
+    *(BEST_CONSTANT, CLOSED_FORM, LEAST_BAND, BANDS, BANDS_WITH_FACTOR),
+    *(ORACLE, MATCHED, *WITH_R),
+)
 #: Of a row of a comparison; the rest would repeat what follows from the numbers of the runs.
 _KEPT = (
     *("failures", "body_rmse", "depth_rmse", "position_drift_percent"),
@@ -45,7 +51,7 @@ _KEPT = (
 
 def rows_of(scenario: str) -> tuple[str, ...]:
     """The rows of a comparison, in the order of the tables."""
-    return tuple(row for row in _ROWS if row not in WITHOUT_FACTOR or scenario == "realistic")
+    return tuple(row for row in _ROWS if row not in WITH_R or scenario == "realistic")
 
 
 def plans() -> list[Plan]:
@@ -129,7 +135,8 @@ def rates_tables(document: Mapping[str, Any]) -> str:
                 {
                     **{
                         f"NEES, {row}": _nees(row, "velocity")
-                        for row in (BEST_CONSTANT, LEAST_BAND, BANDS, *WITHOUT_FACTOR, ORACLE)
+                        for row in _ROWS
+                        if row not in (CLOSED_FORM, MATCHED)
                     },
                     **{
                         f"depth [m], {row}": _value(row, "depth_rmse", 2)
@@ -174,7 +181,10 @@ def _ratios(comparisons: Sequence[Mapping[str, Any]], metric: str, unit: str = "
         {
             f"oracle [{unit}]": _value(ORACLE, metric, 3),
             **{f"{row} / oracle": to(row, ORACLE) for row in _ROWS if row != ORACLE},
-            f"{BANDS} / {BEST_CONSTANT}": to(BANDS, BEST_CONSTANT),
+            **{
+                f"{row} / {BEST_CONSTANT}": to(row, BEST_CONSTANT)
+                for row in (BANDS, BANDS_WITH_FACTOR)
+            },
         },
     )
 

@@ -10,7 +10,6 @@ from insdvl.studies.evaluation.approaches import (
     BEST_CONSTANT,
     ORACLE,
     WITH_R,
-    WITHOUT_FACTOR,
 )
 from insdvl.studies.report.markdown import interval, number, table
 from insdvl.studies.results import breadth
@@ -342,8 +341,13 @@ def _of_breadth(scenario: str, row_: str) -> tuple[Target, ...]:
 
 #: Of the page on other IMUs, rates and outages.
 OF_BREADTH = (
-    *(target for scenario in breadth.SCENARIOS for target in _of_breadth(scenario, BANDS)),
-    *(target for row_ in WITHOUT_FACTOR for target in _of_breadth("realistic", row_)),
+    *(
+        target
+        for scenario in breadth.SCENARIOS
+        for row_ in (BANDS, BANDS_WITH_FACTOR)
+        for target in _of_breadth(scenario, row_)
+    ),
+    *(target for row_ in breadth.WITH_R for target in _of_breadth("realistic", row_)),
 )
 
 
