@@ -327,7 +327,8 @@ position at the end of an outage has the drift and what was wrong before.
 """,
         [
             "## Targets\n\nSet before the measurement. Each has to be met by every line of its "
-            "scenario, with the upper end\nof the interval of a ratio.\n\n"
+            "scenario, with the upper end\nof the interval of a ratio. *Oracle* tells how many "
+            "lines the filter that is told the noise meets.\n\n"
             + targets_table(documents, OF_BREADTH),
             *parts,
         ],

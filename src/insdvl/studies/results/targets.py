@@ -259,23 +259,29 @@ OF_SPECTRUM = (
 
 #: Of a row in a comparison of breadth: its text, and by how much it misses or meets its target.
 Judged = tuple[str, float]
+_Judge = Callable[[Mapping[str, Any]], Judged | None]
 
 
 def _everywhere(
-    scenario: str,
-    words: str,
-    judge: Callable[[Mapping[str, Any]], Judged | None],
-    *,
-    outage: float = 0.0,
+    scenario: str, words: str, judge: _Judge, *, bound: _Judge | None = None, outage: float = 0.0
 ) -> Target:
-    """A target of all comparisons of a scenario with outages of a length, or without."""
+    """A target of all comparisons of a scenario with outages of a length, or without.
+
+    Args:
+        scenario: Its name.
+        words: The target.
+        judge: Of the row.
+        bound: Of the oracle by the same target, which tells what is possible in so few runs.
+        outage: Length of the outages [s].
+    """
 
     def measured(documents: Documents) -> tuple[str, bool] | None:
-        found = [
-            (breadth.configuration(one), judge(one))
+        comparisons = [
+            one
             for one in documents.get("breadth", {"comparisons": []})["comparisons"]
             if one["scenario"] == scenario and one["outage"] == outage
         ]
+        found = [(breadth.configuration(one), judge(one)) for one in comparisons]
         if not found:
             return None
         # A row that is missing or has failed meets no target.
@@ -283,14 +289,15 @@ def _everywhere(
         texts = {name: "failed" if j is None else j[0] for name, j in found}
         worst, met = max(excess, key=excess.__getitem__), sum(x <= 0.0 for x in excess.values())
         text = f"{met} of {len(found)}; worst {texts[worst]} ({worst})"
+        if bound is not None:
+            of_oracle = [j is not None and j[1] <= 0.0 for j in map(bound, comparisons)]
+            text += f"; oracle {sum(of_oracle)} of {len(found)}"
         return text, met == len(found)
 
     return Target(f"`{scenario}`: {words}", measured)
 
 
-def _at_most(
-    row_: str, reference: str, metric: str, limit: float
-) -> Callable[[Mapping[str, Any]], Judged | None]:
+def _at_most(row_: str, reference: str, metric: str, limit: float) -> _Judge:
     def judge(comparison: Mapping[str, Any]) -> Judged | None:
         found = breadth.ratio(comparison, row_, reference, metric)
         return None if found is None else (interval(found), found[2] - limit)
@@ -298,9 +305,7 @@ def _at_most(
     return judge
 
 
-def _within(
-    row_: str, block: str, low: float, high: float
-) -> Callable[[Mapping[str, Any]], Judged | None]:
+def _within(row_: str, block: str, low: float, high: float) -> _Judge:
     def judge(comparison: Mapping[str, Any]) -> Judged | None:
         found = breadth.row_of(comparison, row_)
         if not found:
@@ -318,11 +323,13 @@ def _of_breadth(scenario: str, row_: str) -> tuple[Target, ...]:
             scenario,
             f"body velocity, `{row_}` / best constant, at most 1, with all IMUs and rates",
             _at_most(row_, BEST_CONSTANT, "body_rmse", 1.0),
+            bound=_at_most(ORACLE, BEST_CONSTANT, "body_rmse", 1.0),
         ),
         _everywhere(
             scenario,
             f"NEES of the velocity, `{row_}`, in [{low:g}, {high:g}], with all IMUs and rates",
             _within(row_, "velocity", low, high),
+            bound=_within(ORACLE, "velocity", low, high),
         ),
         _everywhere(
             scenario,
@@ -334,6 +341,7 @@ def _of_breadth(scenario: str, row_: str) -> tuple[Target, ...]:
             scenario,
             f"NEES of the horizontal position after 60 s, `{row_}`, in [0.8, 1.25], with all IMUs",
             _within(row_, "outage_position", 0.8, 1.25),
+            bound=_within(ORACLE, "outage_position", 0.8, 1.25),
             outage=breadth.LENGTH,
         ),
     )
