@@ -234,6 +234,7 @@ def test_a_factor_at_the_end_of_its_range_is_told() -> None:
     f.samples(1, 21)
     status = f.look()["process noise"]
     assert status.level == OK and status.values["Q factor"] == "1"
+    assert status.message.endswith(", times 1 by the innovations")
     state = f.fold.latest
     assert state is not None
     state["q_factor"]["factor"] = 16.0

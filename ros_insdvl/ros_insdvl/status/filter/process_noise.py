@@ -35,10 +35,10 @@ class ProcessNoise(Cause):
             noise = summary(state)
             show_sigmas(status, noise.sigma_f, noise.sigma_w)
             show_sigmas(status, *self._nominal, NOMINAL_Q)
-            if self._has_factor:
-                self._report_factor(status, noise.factor)
             if self._topic is not None or self._source == "message":
                 self._report_age(status, noise)
+            if self._has_factor:
+                self._report_factor(status, noise.factor)
         if self._topic is not None:
             view.report_refused(status, [self._topic])
             view.show(status, self._topic)
@@ -61,6 +61,7 @@ class ProcessNoise(Cause):
     def _report_factor(status: Status, factor: float) -> None:
         """Of the factor that the innovations tell."""
         status.values["Q factor"] = f"{factor:.3g}"
+        status.summary += f", times {factor:.3g} by the innovations"
         low, high = LEVELS[0], LEVELS[-1]
         if factor in (low, high):
             status.complain(
