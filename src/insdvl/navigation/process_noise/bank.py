@@ -10,15 +10,9 @@ import numpy as np
 from insdvl.arrays import Array
 from insdvl.kernels import kernel
 from insdvl.navigation.algebra import gain
-from insdvl.navigation.error_state import (
-    ACCELEROMETER_BIAS,
-    ATTITUDE,
-    GYROSCOPE_BIAS,
-    VELOCITY,
-    add_block,
-    set_block,
-)
+from insdvl.navigation.error_state import ACCELEROMETER_BIAS, GYROSCOPE_BIAS
 from insdvl.navigation.geometry.rotation import product, product_transposed, skew
+from insdvl.navigation.process_noise.between_pings import add_noise, set_transition
 
 #: Velocity [m/s] and attitude [rad], NED, and biases of accelerometers [m/s^2] and gyroscopes
 #: [rad/s], base_link axes.
@@ -36,7 +30,7 @@ _PRIOR = -0.5 * (np.log(LEVELS) / SPREAD) ** 2
 _STEP = np.log(LEVELS[1] / LEVELS[0])
 
 # First elements of the blocks, for the kernels.
-_V, _A, _F, _W = VELOCITY.start, ATTITUDE.start, ACCELEROMETER_BIAS.start, GYROSCOPE_BIAS.start
+_F, _W = ACCELEROMETER_BIAS.start, GYROSCOPE_BIAS.start
 
 
 def learned(sums: Array, likelihoods: Array, seconds: float) -> Array:
@@ -83,9 +77,6 @@ def advance(
 ) -> None:
     """Advance the filters from ping to ping, in place.
 
-    With noise n_f, n_w of the densities of a level
-    dv' = [g x] psi - C (db_f + n_f) - [v x] C (db_w + n_w), psi' = -C (db_w + n_w).
-
     Args:
         errors: (L, 12) estimates relative to the filter's.
         P: (L, 78) covariances, packed.
@@ -98,38 +89,17 @@ def advance(
         walk_w: Density of the walk of the gyroscope bias.
         seconds: Since the ping before.
     """
-    t, Phi, Q = seconds, np.eye(SIZE), np.zeros((SIZE, SIZE))
-    G, VC, GC = np.zeros((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    M, N = np.empty((3, 3)), np.empty((3, 3))
-    G[0, 1], G[1, 0] = -g, g
-    skew(M, v_n)
-    product(VC, M, C_n_b)
-    product(GC, G, C_n_b)
-    set_block(Phi, _V, _A, t, G)
-    set_block(Phi, _V, _F, -t, C_n_b)
-    set_block(Phi, _V, _W, -t, VC)
-    add_block(Phi, _V, _W, -0.5 * t * t, GC)
-    set_block(Phi, _A, _W, -t, C_n_b)
-
+    Phi, Q = np.eye(SIZE), np.zeros((SIZE, SIZE))
+    v_x, g_x, M = np.empty((3, 3)), np.zeros((3, 3)), np.empty((3, 3))
+    of_f, of_w = np.empty((3, 3)), np.empty((3, 3))
+    g_x[0, 1], g_x[1, 0] = -g, g
+    skew(v_x, v_n)
+    set_transition(Phi, C_n_b, v_x, g_x, seconds)
     product(M, C_n_b, S_f)
-    product_transposed(N, M, C_n_b)
-    add_block(Q, _V, _V, t, N)
+    product_transposed(of_f, M, C_n_b)
     product(M, C_n_b, S_w)
-    product_transposed(N, M, C_n_b)
-    add_block(Q, _A, _A, t, N)
-    product(M, VC, S_w)  # by the velocity, and by gravity through the tilt
-    product_transposed(N, M, VC)
-    add_block(Q, _V, _V, t, N)
-    product_transposed(N, M, GC)
-    _add_with_transpose(Q, _V, _V, 0.5 * t * t, N)
-    product_transposed(N, M, C_n_b)
-    _add_with_transpose(Q, _V, _A, t, N)
-    product(M, GC, S_w)
-    product_transposed(N, M, GC)
-    add_block(Q, _V, _V, t * t * t / 3.0, N)
-    product_transposed(N, M, C_n_b)
-    _add_with_transpose(Q, _V, _A, 0.5 * t * t, N)
-
+    product_transposed(of_w, M, C_n_b)
+    add_noise(Q, of_f, of_w, v_x, g_x, seconds)
     full = np.empty((SIZE, SIZE))
     for level in range(LEVELS.size):
         unpack(full, P[level])
@@ -138,8 +108,8 @@ def advance(
             for j in range(_F):
                 full[i, j] += LEVELS[level] * Q[i, j]
         for i in range(3):
-            full[_F + i, _F + i] += t * walk_f
-            full[_W + i, _W + i] += t * walk_w
+            full[_F + i, _F + i] += seconds * walk_f
+            full[_W + i, _W + i] += seconds * walk_w
         pack(P[level], full)
 
 
@@ -161,15 +131,6 @@ def pack(packed: Array, full: Array) -> None:
         for j in range(i + 1):
             packed[k] = full[i, j]
             k += 1
-
-
-@kernel
-def _add_with_transpose(Q: Array, row: int, column: int, factor: float, M: Array) -> None:
-    """Add a block to Q, and its transpose where it belongs."""
-    for i in range(3):
-        for j in range(3):
-            Q[row + i, column + j] += factor * M[i, j]
-            Q[column + j, row + i] += factor * M[i, j]
 
 
 @kernel

@@ -13,22 +13,11 @@ import numpy as np
 from insdvl.arrays import Array
 from insdvl.kernels import kernel
 from insdvl.navigation.channels import FEWEST_CHANGES
-from insdvl.navigation.error_state import (
-    ACCELEROMETER_BIAS,
-    ATTITUDE,
-    GYROSCOPE_BIAS,
-    VELOCITY,
-    add_block,
-    set_block,
-)
+from insdvl.navigation.error_state import ATTITUDE, GYROSCOPE_BIAS, VELOCITY
 from insdvl.navigation.geometry.earth import gravity
-from insdvl.navigation.geometry.rotation import (
-    cross_matrix,
-    product,
-    product_transposed,
-    skew,
-)
+from insdvl.navigation.geometry.rotation import cross_matrix, product, skew
 from insdvl.navigation.measurements.base import Vehicle
+from insdvl.navigation.process_noise.between_pings import add_noise, set_transition
 from insdvl.navigation.state import NEVER, Constants, State
 
 #: The mean of the last changes is known to 15 %: what is shown counts from so much of the told on.
@@ -37,8 +26,6 @@ CLEARLY_MORE = 1.5
 #: gains also the estimates of the biases.
 REACHED = slice(VELOCITY.start, GYROSCOPE_BIAS.stop)
 _N = REACHED.stop
-# First elements of the blocks, for the kernels.
-_V, _A, _F, _W = VELOCITY.start, ATTITUDE.start, ACCELEROMETER_BIAS.start, GYROSCOPE_BIAS.start
 
 
 def gravity_matrix(nav: State) -> Array:
@@ -109,11 +96,7 @@ def _transform(E: Array, B: Array) -> None:
 
 @kernel
 def advance(s: State, c: Constants, stamp_ns: int) -> None:
-    """Add to ``noise.excess`` what the untold noise has made since it was last advanced.
-
-    With the noise n_w of the gyroscopes dv' = [v x] n_w + [g x] psi and psi' = n_w; with that of
-    the accelerometers dv' = n_f. For `ned` without [v x].
-    """
+    """Add to ``noise.excess`` what the untold noise has made since it was last advanced."""
     noise, nav, channels, since_ns = s.noise, s.nav, s.channels, s.noise.excess_ns
     noise.excess_ns = stamp_ns
     if since_ns == NEVER or stamp_ns <= since_ns:
@@ -132,33 +115,10 @@ def advance(s: State, c: Constants, stamp_ns: int) -> None:
     skew(g_x, g_n)
     if c.invariant:
         skew(v_x, nav.v_n)
-    Phi, B, M = np.eye(_N), np.empty((3, 3)), np.empty((3, 3))
-    for i in range(3):
-        for j in range(3):
-            B[i, j] = v_x[i, j] * t + 0.5 * t * t * g_x[i, j]
-    product(M, B, nav.C_n_b)
-    set_block(Phi, _V, _A, t, g_x)
-    set_block(Phi, _V, _F, -t, nav.C_n_b)
-    set_block(Phi, _V, _W, -1.0, M)
-    set_block(Phi, _A, _W, -t, nav.C_n_b)
-    E = noise.excess
-    _transform(E, Phi)
-    of_v, of_g = np.empty((3, 3)), np.empty((3, 3))
-    product(of_v, v_x, S_w)
-    product(of_g, g_x, S_w)
-    add_block(E, _V, _V, t, S_f)
-    product_transposed(M, of_v, v_x)
-    add_block(E, _V, _V, t, M)
-    product_transposed(M, of_g, g_x)
-    add_block(E, _V, _V, t**3 / 3.0, M)
-    product_transposed(M, of_v, g_x)
-    for i in range(3):
-        for j in range(3):
-            E[_V + i, _V + j] += 0.5 * t * t * (M[i, j] + M[j, i])
-            cross = t * of_v[i, j] + 0.5 * t * t * of_g[i, j]
-            E[_V + i, _A + j] += cross
-            E[_A + j, _V + i] += cross
-    add_block(E, _A, _A, t, S_w)
+    Phi = np.eye(_N)
+    set_transition(Phi, nav.C_n_b, v_x, g_x, t)
+    _transform(noise.excess, Phi)
+    add_noise(noise.excess, S_f, S_w, v_x, g_x, t)
 
 
 @kernel
