@@ -39,7 +39,7 @@ from insdvl.navigation.odometry import Odometry as FilterOdometry
 from insdvl.navigation.odometry import Pose, biases
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.settings import differences
-from insdvl.navigation.state import State
+from insdvl.navigation.state.fields import State
 from insdvl.parameters.declaration import ParameterError
 from insdvl.timeline.compilation import compile_fold
 from insdvl.timeline.jumps import TimeJump

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 #: (N,) stamps in integer nanoseconds.
 Stamps = NDArray[np.int64]
-#: (N,) structured records, see navigation/state.py.
+#: (N,) structured records, see navigation/state/layout.py.
 Records = NDArray[np.void]
 
 

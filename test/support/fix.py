@@ -19,7 +19,7 @@ from insdvl.navigation.measurements.base import (
 )
 from insdvl.navigation.measurements.depth import Depth
 from insdvl.navigation.parameters import FilterParameters
-from insdvl.navigation.state import State
+from insdvl.navigation.state.fields import State
 
 
 @dataclass(frozen=True, slots=True)

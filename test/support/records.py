@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from insdvl.navigation.filter import LAYOUT
-from insdvl.navigation.state import part
+from insdvl.navigation.state.layout import part
 
 
 def P15(s: Any) -> np.ndarray:  # noqa: N802

@@ -16,7 +16,7 @@ from insdvl.navigation.geometry.frames import (
     rotation_from_quaternion,
     rpy_from_rotation,
 )
-from insdvl.navigation.state import gate_counter
+from insdvl.navigation.state.layout import gate_counter
 from insdvl.watch.table.numbers import Finding, Measured, Pose, Shown, Triads, VelocityError
 from ros_insdvl.monitoring.polled import Last
 from ros_insdvl.odometry_series import OdometrySeries

@@ -18,7 +18,7 @@ from insdvl.messages.topics import Topic, ZeroStamp, orientation_sigma, taken
 from insdvl.navigation.events import NS, Event, Imu, Measurement, Orientation
 from insdvl.navigation.geometry.frames import CONVENTIONS
 from insdvl.navigation.parameters import FilterParameters
-from insdvl.navigation.state import NEVER
+from insdvl.navigation.state.fields import NEVER
 from insdvl.parameters.declaration import check_map
 from insdvl.timeline.fold import Fold
 

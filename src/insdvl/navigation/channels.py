@@ -13,7 +13,8 @@ from insdvl.arrays import Array, Records, Stamps
 from insdvl.kernels import kernel
 from insdvl.navigation.geometry.rotation import rotate_back
 from insdvl.navigation.prediction import strapdown
-from insdvl.navigation.state import NEVER, Constants, State, Workspace
+from insdvl.navigation.state.fields import NEVER, State
+from insdvl.navigation.state.scratch import Constants, Workspace
 from insdvl.parameters.declaration import lever_arm, mount, parameter, time_offset
 
 

@@ -36,7 +36,8 @@ from insdvl.navigation.geometry.rotation import (
     rotate,
     skew,
 )
-from insdvl.navigation.state import CORE, Constants, State
+from insdvl.navigation.state.fields import CORE, State
+from insdvl.navigation.state.scratch import Constants
 
 # First elements of the blocks, for the kernels.
 _V, _A, _F, _W, _P = 0, 3, 6, 9, 12

@@ -17,7 +17,8 @@ from insdvl.navigation.geometry.rotation import (
     product_transposed,
     skew,
 )
-from insdvl.navigation.state import CORE, PADDED, Constants, State, Workspace
+from insdvl.navigation.state.fields import CORE, PADDED, State
+from insdvl.navigation.state.scratch import Constants, Workspace
 
 #: State map. The published filter is the first twelve.
 VELOCITY = slice(0, 3)  # m/s

@@ -1,6 +1,6 @@
 """The error-state extended Kalman filter: predict with IMU samples, update with measurements.
 
-A `Filter` holds what never changes; all that does is in a state record (state.py), which its
+A `Filter` holds what never changes; all that does is in a state record (state/), which its
 methods advance in place. `timeline.fold.Fold` decides the order in which they are called.
 """
 
@@ -38,15 +38,9 @@ from insdvl.navigation.process_noise import factor, shown, source_of
 from insdvl.navigation.process_noise.factor import Factor
 from insdvl.navigation.start import wrong_heading, zero_velocity
 from insdvl.navigation.start.initial_state import Start, locate
-from insdvl.navigation.state import (
-    CORE,
-    NEVER,
-    State,
-    constants_type,
-    counters,
-    layout,
-    workspace_type,
-)
+from insdvl.navigation.state.fields import CORE, NEVER, State
+from insdvl.navigation.state.layout import counters, layout
+from insdvl.navigation.state.scratch import constants_type, workspace_type
 
 #: Layout of the state record, the same for every filter.
 LAYOUT = layout(

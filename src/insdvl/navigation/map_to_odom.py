@@ -27,7 +27,7 @@ from insdvl.navigation.error_state import ATTITUDE, POSITION
 from insdvl.navigation.geometry import earth, odom
 from insdvl.navigation.geometry.rotation import about_down, cross_matrix, product_transposed
 from insdvl.navigation.measurements.base import Vehicle
-from insdvl.navigation.state import State
+from insdvl.navigation.state.fields import State
 
 #: A turn of odom by so much [rad], in sum, or a step of it by so much [m], counts as a reset.
 RESET_TURN = math.radians(5.0)

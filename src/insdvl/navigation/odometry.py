@@ -30,7 +30,8 @@ from insdvl.navigation.geometry.rotation import (
     rotate_back,
     skew,
 )
-from insdvl.navigation.state import NEVER, Constants, State
+from insdvl.navigation.state.fields import NEVER, State
+from insdvl.navigation.state.scratch import Constants
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,8 @@ from insdvl.navigation.filter import Filter
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.settings import Settings
 from insdvl.navigation.start import zero_velocity
-from insdvl.navigation.state import FOREVER, NEVER, State, counters
+from insdvl.navigation.state.fields import FOREVER, NEVER, State
+from insdvl.navigation.state.layout import counters
 from insdvl.timeline.entries import Entries, Entry
 from insdvl.timeline.jumps import RUN_GAP_NS, Run, Suspects, TimeJump
 from insdvl.timeline.output import (

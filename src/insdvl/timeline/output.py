@@ -10,7 +10,7 @@ from insdvl.navigation.filter import Filter
 from insdvl.navigation.geometry.frames import rotation_from_quaternion
 from insdvl.navigation.measurements.report import UpdateReport
 from insdvl.navigation.odometry import Odometry, odometry
-from insdvl.navigation.state import State
+from insdvl.navigation.state.fields import State
 from insdvl.timeline.entries import Entry
 from insdvl.timeline.jumps import TimeJump
 

@@ -1,6 +1,6 @@
 """The filter's memory in a file, so that a filter that was killed goes on where it was.
 
-The file is one line of JSON, then the bytes of one state record (state.py). The line has what is
+The file is one line of JSON, then the bytes of one state record (state/). The line has what is
 needed to refuse a file that is damaged, of another version, or of a filter whose numbers would mean
 something else. Nothing in a file is executed, and no more of it is read than a record is long.
 """
@@ -20,7 +20,8 @@ from insdvl.navigation.filter import LAYOUT, Filter
 from insdvl.navigation.geometry.earth import MAX_LATITUDE
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.settings import differences
-from insdvl.navigation.state import COVARIANCE, NEVER, NUMBER, STAMP, Field, State, part
+from insdvl.navigation.state.fields import COVARIANCE, NEVER, NUMBER, STAMP, Field, State
+from insdvl.navigation.state.layout import part
 from insdvl.parameters.declaration import changed, flatten
 
 FORMAT = "insdvl state 9"

@@ -16,7 +16,7 @@ from insdvl.navigation.events import (
 )
 from insdvl.navigation.filter import Filter
 from insdvl.navigation.settings import Settings
-from insdvl.navigation.state import NEVER, State
+from insdvl.navigation.state.fields import NEVER, State
 from insdvl.timeline.entries import Entries
 from insdvl.timeline.samples import Samples
 

@@ -4,7 +4,7 @@ from heapq import heappop, heappush
 
 from insdvl.navigation.events import NS
 from insdvl.navigation.parameters import FilterParameters
-from insdvl.navigation.state import NEVER
+from insdvl.navigation.state.fields import NEVER
 
 #: Share of a sample's distance by which the grid of the nominal rate follows the stamps.
 FOLLOW = 0.2

@@ -12,7 +12,7 @@ from insdvl.navigation.filter import Filter
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.start import automatic, gyrocompass
 from insdvl.navigation.start.parameters import InitialParameters
-from insdvl.navigation.state import State
+from insdvl.navigation.state.fields import State
 
 #: A bias that is estimated beyond so many of its initial sigma is a finding.
 SIGMAS = 4.0

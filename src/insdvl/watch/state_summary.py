@@ -6,7 +6,7 @@ import numpy as np
 
 from insdvl.arrays import Array
 from insdvl.navigation.process_noise import factor
-from insdvl.navigation.state import NEVER
+from insdvl.navigation.state.fields import NEVER
 
 
 class StateSummary(NamedTuple):
@@ -30,7 +30,7 @@ class StateSummary(NamedTuple):
 
 
 def summary(state: Any) -> StateSummary:
-    """The summary of a state record (see `insdvl.navigation.state`)."""
+    """The summary of a state record (see `insdvl.navigation.state.layout`)."""
     gates, noise = state["gate"], state["noise"]
     return StateSummary(
         time_ns=int(state["nav"]["time_ns"]),

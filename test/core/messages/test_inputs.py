@@ -13,7 +13,7 @@ from insdvl.messages.inputs import Inputs
 from insdvl.navigation.events import NS, Event, Imu, Initial, Origin, ProcessNoise
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
-from insdvl.navigation.state import NEVER
+from insdvl.navigation.state.fields import NEVER
 from insdvl.parameters.declaration import build
 from insdvl.timeline.fold import Fold
 

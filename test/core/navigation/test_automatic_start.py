@@ -16,7 +16,7 @@ from insdvl.navigation.geometry.frames import rotation_from_rpy
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.start import automatic, gyrocompass
-from insdvl.navigation.state import State
+from insdvl.navigation.state.fields import State
 from insdvl.parameters.declaration import ParameterError, build
 from insdvl.simulation.grades import GRADES, Grade
 from insdvl.simulation.mission import simulate

@@ -19,7 +19,7 @@ from insdvl.navigation.parameters import (
     OriginParameters,
     ProcessNoiseParameters,
 )
-from insdvl.navigation.state import READINGS
+from insdvl.navigation.state.fields import READINGS
 from insdvl.simulation.initial_errors import drawn_initial
 from insdvl.simulation.mission import ImuModel, Mission, simulate
 from insdvl.simulation.noise import constant

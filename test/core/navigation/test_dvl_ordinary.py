@@ -10,7 +10,8 @@ from insdvl.navigation.events import NS, Initial
 from insdvl.navigation.filter import LAYOUT
 from insdvl.navigation.measurements.dvl import Dvl, DvlModel
 from insdvl.navigation.parameters import FilterParameters
-from insdvl.navigation.state import COUNT, STAMP, part
+from insdvl.navigation.state.fields import COUNT, STAMP
+from insdvl.navigation.state.layout import part
 from insdvl.parameters.declaration import build
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import constant

@@ -35,7 +35,7 @@ from insdvl.navigation.parameters import (
     ProcessNoiseParameters,
 )
 from insdvl.navigation.prediction import strapdown
-from insdvl.navigation.state import workspace_type
+from insdvl.navigation.state.scratch import workspace_type
 
 MODELS = ("invariant", "ned")
 DVL_ERROR, DVL_MOUNT = slice(15, 18), slice(18, 21)

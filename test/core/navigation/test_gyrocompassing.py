@@ -28,7 +28,7 @@ from insdvl.navigation.start.gyrocompass import (
     NOT_THE_EARTH,
     UNDECIDED,
 )
-from insdvl.navigation.state import State
+from insdvl.navigation.state.fields import State
 from insdvl.parameters.declaration import ParameterError
 from insdvl.simulation.grades import GRADES, Grade
 from insdvl.studies.consistency.errors import heading_sigma_deg, nees

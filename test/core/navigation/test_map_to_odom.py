@@ -27,7 +27,7 @@ from insdvl.navigation.measurements.heading import Heading
 from insdvl.navigation.odometry import Odometry, odometry
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.prediction.kept import Kept
-from insdvl.navigation.state import CORE
+from insdvl.navigation.state.fields import CORE
 from insdvl.simulation.grades import GRADES
 from insdvl.simulation.mission import Mission
 from insdvl.studies.consistency.flights import (

@@ -12,7 +12,7 @@ from insdvl.navigation import coordinates
 from insdvl.navigation.filter import Filter
 from insdvl.navigation.prediction.kept import Kept
 from insdvl.navigation.start.initial_state import Start
-from insdvl.navigation.state import CORE
+from insdvl.navigation.state.fields import CORE
 from insdvl.simulation.drawn import scenarios
 from insdvl.simulation.drawn.imu_errors import ImuErrors
 from insdvl.simulation.drawn.scenarios import DRAWN

@@ -12,7 +12,7 @@ from insdvl.navigation.filter import Filter
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.odometry import Odometry
 from insdvl.navigation.parameters import FilterParameters, OriginParameters
-from insdvl.navigation.state import counters
+from insdvl.navigation.state.layout import counters
 from insdvl.parameters.declaration import build
 from insdvl.simulation.mission import simulate
 from insdvl.simulation.noise import constant

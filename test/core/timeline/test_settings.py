@@ -16,7 +16,7 @@ from insdvl.navigation.filter import Filter
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.settings import SETTINGS, Settings, differences
-from insdvl.navigation.state import GATE_COUNTERS
+from insdvl.navigation.state.groups import GATE_COUNTERS
 from insdvl.parameters.declaration import ParameterError, build, changed, flatten
 from insdvl.simulation.mission import simulate
 from insdvl.simulation.noise import SCENARIOS

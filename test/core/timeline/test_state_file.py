@@ -24,7 +24,8 @@ from insdvl.navigation.events import NS, Imu, Initial, Origin, ProcessNoise
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.odometry import Odometry, odometry
 from insdvl.navigation.parameters import FilterParameters, OriginParameters
-from insdvl.navigation.state import GATE_COUNTERS, NEVER
+from insdvl.navigation.state.fields import NEVER
+from insdvl.navigation.state.groups import GATE_COUNTERS
 from insdvl.parameters.declaration import build
 from insdvl.simulation.initial_errors import drawn_initial
 from insdvl.simulation.mission import Mission, simulate

@@ -6,7 +6,7 @@ from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.earth import MAX_LATITUDE_DEG
 from insdvl.navigation.geometry.odom import MAX_FROM_ORIGIN
 from insdvl.navigation.parameters import FilterParameters
-from insdvl.navigation.state import State
+from insdvl.navigation.state.fields import State
 from insdvl.timeline.fold import Fold
 from insdvl.watch.start import (
     DIVERGED,

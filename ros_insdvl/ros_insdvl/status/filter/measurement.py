@@ -7,7 +7,7 @@ import numpy as np
 
 from insdvl.messages.topics import IMU
 from insdvl.navigation.events import NS
-from insdvl.navigation.state import gate_counter
+from insdvl.navigation.state.layout import gate_counter
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.output import AppliedUpdate
 from insdvl.watch.consistency import nis_median, scaled_nis

@@ -1,7 +1,7 @@
 """The cause `time`: stamps that cannot be used, and clocks that jump."""
 
 from insdvl.navigation.events import NS
-from insdvl.navigation.state import NEVER
+from insdvl.navigation.state.fields import NEVER
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.jumps import TimeJump
 from ros_insdvl.status.diagnostics import ERROR, RECENT, WARN, Status, View

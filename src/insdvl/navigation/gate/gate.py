@@ -1,6 +1,6 @@
 """A chi-square gate that neither locks out nor gives in at once.
 
-One `Gate` for each kind of measurement, with one memory in the state record (state.py). It knows m
+One `Gate` for each kind of measurement, with one memory in the state record (state/). It knows m
 rows; what the measurement tells of is the model's business. A measurement that nothing speaks
 against is judged in ordinary.py; of all others a misfit is put down, in this order, to
 
@@ -29,7 +29,7 @@ from insdvl.navigation.gate.parameters import GateParameters
 from insdvl.navigation.kalman import Innovated
 from insdvl.navigation.measurements.base import Linearised, SensorModel, Vehicle
 from insdvl.navigation.process_noise import shown
-from insdvl.navigation.state import NEVER, State
+from insdvl.navigation.state.fields import NEVER, State
 
 #: A measurement whose NIS is so many times the gate's limit is surely no chance.
 FAULT = 1.5

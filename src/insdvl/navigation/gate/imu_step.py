@@ -16,7 +16,7 @@ from insdvl.navigation.geometry.rotation import cross_matrix
 from insdvl.navigation.kalman import Innovated
 from insdvl.navigation.measurements.base import Vehicle
 from insdvl.navigation.process_noise import shown
-from insdvl.navigation.state import State
+from insdvl.navigation.state.fields import State
 
 
 def explains(

@@ -12,7 +12,7 @@ from insdvl.navigation.channels import any_unseen
 from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.rotation import copy_matrix
 from insdvl.navigation.process_noise import shown
-from insdvl.navigation.state import NEVER
+from insdvl.navigation.state.fields import NEVER
 
 #: An interval between measurements that is longer bears nothing out [ns]; a trusted filter may
 #: reject for so long what need not be a fault of the sensor; two steps farther apart are no drift.

@@ -20,7 +20,7 @@ from insdvl.navigation.measurement_noise import guard, levels, window
 from insdvl.navigation.measurement_noise.guard import Correlation
 from insdvl.navigation.measurement_noise.levels import LARGEST, SMALLEST, Factors, Whitened
 from insdvl.navigation.measurements.base import Linearised, SensorModel
-from insdvl.navigation.state import COUNT, COVARIANCE, NEVER, NUMBER, STAMP, Field, State
+from insdvl.navigation.state.fields import COUNT, COVARIANCE, NEVER, NUMBER, STAMP, Field, State
 
 #: Sources of a sensor's noise, its parameter ``noise_source``.
 NOMINAL, LEARNED = "nominal", "learned"

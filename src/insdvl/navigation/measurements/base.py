@@ -22,7 +22,7 @@ import numpy as np
 from insdvl.arrays import Array, Records
 from insdvl.navigation.events import Measurement
 from insdvl.navigation.geometry.frames import Convention
-from insdvl.navigation.state import CORE, State
+from insdvl.navigation.state.fields import CORE, State
 
 _Event = TypeVar("_Event", bound=Measurement)
 

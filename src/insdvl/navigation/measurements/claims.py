@@ -15,7 +15,7 @@ from insdvl.arrays import Array
 from insdvl.kernels import kernel
 from insdvl.navigation.events import Measurement
 from insdvl.navigation.measurements.base import Past, SensorModel
-from insdvl.navigation.state import NEVER, State
+from insdvl.navigation.state.fields import NEVER, State
 
 #: A repetition that chance makes less often than this is none by chance.
 LEAST_CHANCE = 1e-3

@@ -29,7 +29,7 @@ from insdvl.navigation.measurements.base import (
     Turn,
     Vehicle,
 )
-from insdvl.navigation.state import State
+from insdvl.navigation.state.fields import State
 from insdvl.parameters.declaration import lever_arm, parameter
 
 #: Gravity [m/s^2] with which a pressure is turned into a depth before the latitude is known.

@@ -32,7 +32,7 @@ from insdvl.navigation.measurements.base import (
 from insdvl.navigation.measurements.dvl_jacobian import ABSENT, linearise
 from insdvl.navigation.measurements.dvl_ordinary import take_in
 from insdvl.navigation.start.automatic import UNKNOWN_SPEED
-from insdvl.navigation.state import State
+from insdvl.navigation.state.fields import State
 from insdvl.parameters.declaration import lever_arm, parameter, time_offset
 
 #: Most tilt, one sigma [rad], that an inflation takes for possible.

@@ -17,7 +17,8 @@ from insdvl.navigation.geometry.rotation import (
     skew,
 )
 from insdvl.navigation.prediction.strapdown import turn_rate
-from insdvl.navigation.state import CORE, Constants, State, Workspace
+from insdvl.navigation.state.fields import CORE, State
+from insdvl.navigation.state.scratch import Constants, Workspace
 
 # First elements of the blocks, for the kernel.
 _VELOCITY, _ATTITUDE, _GYROSCOPE_BIAS = VELOCITY.start, ATTITUDE.start, GYROSCOPE_BIAS.start

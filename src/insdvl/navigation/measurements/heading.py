@@ -33,7 +33,7 @@ from insdvl.navigation.measurements.base import (
     Turn,
     Vehicle,
 )
-from insdvl.navigation.state import State
+from insdvl.navigation.state.fields import State
 from insdvl.parameters.declaration import mount, parameter, time_offset
 
 #: Most bias of the gyroscope, one sigma [rad/s], that an inflation takes for possible: twenty times

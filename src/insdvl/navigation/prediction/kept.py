@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from insdvl.arrays import Array, Records, Stamps
 from insdvl.kernels import kernel
-from insdvl.navigation.state import State
+from insdvl.navigation.state.fields import State
 
 #: What is kept of every state; the fields are those of its group ``nav``.
 TRACK = np.dtype(

@@ -15,7 +15,8 @@ from insdvl.navigation.error_state import ACCELEROMETER_BIAS, POSITION
 from insdvl.navigation.geometry.rotation import copy_matrix, rotate
 from insdvl.navigation.prediction import strapdown
 from insdvl.navigation.prediction.kept import keep
-from insdvl.navigation.state import CORE, NEVER, Constants, State, Workspace
+from insdvl.navigation.state.fields import CORE, NEVER, State
+from insdvl.navigation.state.scratch import Constants, Workspace
 
 # First elements of blocks, for the kernel.
 _BIASES, _POSITION = ACCELEROMETER_BIAS.start, POSITION.start

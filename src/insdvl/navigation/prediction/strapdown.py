@@ -22,7 +22,8 @@ from insdvl.navigation.geometry.rotation import (
     rotate,
     rotate_back,
 )
-from insdvl.navigation.state import Constants, State, Workspace
+from insdvl.navigation.state.fields import State
+from insdvl.navigation.state.scratch import Constants, Workspace
 
 #: Farthest [m] below or above the origin that gravity follows. Without a depth sensor the height
 #: drifts, and gravity, which falls with it, makes it drift faster and faster.

@@ -5,7 +5,7 @@ import numpy as np
 from insdvl.arrays import Array
 from insdvl.navigation.process_noise.parameters import ProcessNoiseParameters
 from insdvl.navigation.process_noise.received import ProcessNoiseSource
-from insdvl.navigation.state import State
+from insdvl.navigation.state.fields import State
 
 
 class InnovationAdaptive(ProcessNoiseSource):

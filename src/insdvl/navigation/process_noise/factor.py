@@ -27,16 +27,8 @@ from insdvl.navigation.process_noise import bank
 from insdvl.navigation.process_noise.bank import LEVELS, PACKED, SIZE
 from insdvl.navigation.process_noise.parameters import ProcessNoiseParameters
 from insdvl.navigation.process_noise.received import bounded
-from insdvl.navigation.state import (
-    COUNT,
-    COVARIANCE,
-    GATE_COUNTERS,
-    NEVER,
-    NUMBER,
-    STAMP,
-    Field,
-    State,
-)
+from insdvl.navigation.state.fields import COUNT, COVARIANCE, NEVER, NUMBER, STAMP, Field, State
+from insdvl.navigation.state.groups import GATE_COUNTERS
 
 #: After so long [s] without a ping the bank begins again at the next one.
 PAUSE = 20.0

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from insdvl.navigation.state import MAX_WINDOW
+from insdvl.navigation.state.fields import MAX_WINDOW
 from insdvl.parameters.declaration import ParameterError, parameter
 
 

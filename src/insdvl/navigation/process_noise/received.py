@@ -9,7 +9,7 @@ from insdvl.navigation.geometry.rotation import product, product_transposed
 from insdvl.navigation.kalman import Innovated
 from insdvl.navigation.process_noise.nominal import nominal
 from insdvl.navigation.process_noise.parameters import ProcessNoiseParameters
-from insdvl.navigation.state import NEVER, State
+from insdvl.navigation.state.fields import NEVER, State
 
 
 def bounded(Q: Array, floor: float, ceiling: float) -> tuple[Array, bool, bool]:

@@ -10,7 +10,7 @@ from insdvl.navigation.kalman import Innovated
 from insdvl.navigation.measurements.base import Vehicle
 from insdvl.navigation.process_noise.parameters import ProcessNoiseParameters
 from insdvl.navigation.process_noise.received import ProcessNoiseSource
-from insdvl.navigation.state import State
+from insdvl.navigation.state.fields import State
 
 #: The least R, and the largest, over that of the sensor. Without bounds the difference in the
 #: recursion of R may be negative.

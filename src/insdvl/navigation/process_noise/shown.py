@@ -18,7 +18,8 @@ from insdvl.navigation.geometry.earth import gravity
 from insdvl.navigation.geometry.rotation import cross_matrix, product, skew
 from insdvl.navigation.measurements.base import Vehicle
 from insdvl.navigation.process_noise.between_pings import add_noise, set_transition
-from insdvl.navigation.state import NEVER, Constants, State
+from insdvl.navigation.state.fields import NEVER, State
+from insdvl.navigation.state.scratch import Constants
 
 #: The mean of the last changes is known to 15 %: what is shown counts from so much of the told on.
 CLEARLY_MORE = 1.5

@@ -7,7 +7,7 @@ from insdvl.navigation import kalman
 from insdvl.navigation.kalman import Innovated
 from insdvl.navigation.process_noise.parameters import ProcessNoiseParameters
 from insdvl.navigation.process_noise.received import ProcessNoiseSource
-from insdvl.navigation.state import State
+from insdvl.navigation.state.fields import State
 
 #: Towards the fixed point of `variational`: what five leave to do is below a millionth of P.
 _ITERATIONS = 5

@@ -20,7 +20,8 @@ from insdvl.navigation.start import gyrocompass, rest
 from insdvl.navigation.start.gyrocompass import Noise
 from insdvl.navigation.start.parameters import InitialParameters
 from insdvl.navigation.start.rest import Attitude, Window
-from insdvl.navigation.state import NEVER, Constants, State
+from insdvl.navigation.state.fields import NEVER, State
+from insdvl.navigation.state.scratch import Constants
 
 # Where the heading is from, as it stands in the record; TOLD is an initial state of other modes.
 TOLD, PARAMETERS, IMU, GYROCOMPASS, KEPT, UNKNOWN, SENSOR = range(7)

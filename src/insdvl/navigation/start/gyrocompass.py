@@ -18,7 +18,8 @@ from insdvl.navigation.gate.chi_square import exceeded
 from insdvl.navigation.geometry.earth import earth_rate_n, gravity
 from insdvl.navigation.geometry.frames import rotation_from_rpy
 from insdvl.navigation.geometry.rotation import cross_matrix
-from insdvl.navigation.state import NEVER, Constants, State
+from insdvl.navigation.state.fields import NEVER, State
+from insdvl.navigation.state.scratch import Constants
 
 # What has become of it, as it stands in the record. All but the first two: the heading is as told.
 UNDECIDED, FOUND, INACCURATE, MOVES, GAP, NOT_THE_EARTH = range(6)

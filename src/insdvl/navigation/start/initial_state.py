@@ -26,7 +26,7 @@ from insdvl.navigation.start import automatic, gyrocompass, wrong_heading
 from insdvl.navigation.start.automatic import Automatic
 from insdvl.navigation.start.parameters import InitialParameters, OriginParameters
 from insdvl.navigation.start.rest import Attitude, noise_at_rest, window_of_block
-from insdvl.navigation.state import NEVER, State
+from insdvl.navigation.state.fields import NEVER, State
 
 #: What the mean specific force at rest may differ from gravity, as a fraction of it.
 LEVEL_TOLERANCE = 0.05

@@ -15,7 +15,7 @@ from insdvl.navigation.gate.chi_square import exceeded
 from insdvl.navigation.geometry.earth import EARTH_RATE, earth_rate_n
 from insdvl.navigation.geometry.rotation import cross_matrix
 from insdvl.navigation.start.gyrocompass import Noise
-from insdvl.navigation.state import State
+from insdvl.navigation.state.fields import State
 
 #: Probability that a vehicle at rest is taken for a moving one, by each of the four tests.
 FALSE_ALARM = 1e-3

@@ -23,7 +23,7 @@ from insdvl.navigation.events import NS
 from insdvl.navigation.measurements.base import Block, Vehicle
 from insdvl.navigation.start.automatic import UNKNOWN_HEADING
 from insdvl.navigation.start.parameters import InitialParameters
-from insdvl.navigation.state import State
+from insdvl.navigation.state.fields import State
 
 #: One sigma of the heading at the start from which on half a turn is possible (4 sigma) [rad].
 DOUBTFUL = math.radians(45.0)

@@ -13,7 +13,7 @@ from insdvl.navigation.geometry.earth import gravity
 from insdvl.navigation.measurements.base import Linearised, Vehicle
 from insdvl.navigation.start import rest
 from insdvl.navigation.start.gyrocompass import noise_of
-from insdvl.navigation.state import State
+from insdvl.navigation.state.fields import State
 
 #: Samples of a time before the measurement have to show a vehicle at rest: of at least the first
 #: [s], at most the second, and so many of them that each half has enough for the tests.

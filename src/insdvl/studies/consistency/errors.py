@@ -17,7 +17,7 @@ from insdvl.navigation.error_state import (
     VELOCITY,
 )
 from insdvl.navigation.filter import Filter
-from insdvl.navigation.state import CORE
+from insdvl.navigation.state.fields import CORE
 from insdvl.simulation.motion import Truth
 from insdvl.studies.evaluation import metrics
 

@@ -22,7 +22,7 @@ from insdvl.navigation.geometry.frames import ENU, rpy_from_rotation
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.prediction.kept import Kept
-from insdvl.navigation.state import State
+from insdvl.navigation.state.fields import State
 from insdvl.parameters.declaration import build, flatten
 from insdvl.simulation.initial_errors import P_0
 from insdvl.simulation.mission import ImuModel, Mission, simulate

@@ -7,7 +7,8 @@ import numpy as np
 from insdvl.arrays import Array, Records
 from insdvl.navigation.filter import LAYOUT, Filter
 from insdvl.navigation.geometry import odom
-from insdvl.navigation.state import State, counters
+from insdvl.navigation.state.fields import State
+from insdvl.navigation.state.layout import counters
 from insdvl.studies.evaluation.metrics import path_length
 from insdvl.studies.replay.consumer import initialised
 from insdvl.timeline.output import AppliedUpdate, Final

@@ -20,7 +20,7 @@ from insdvl.navigation.geometry.earth import earth_rate_n, gravity, radii
 from insdvl.navigation.geometry.frames import rotation_from_rpy
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
-from insdvl.navigation.state import State
+from insdvl.navigation.state.fields import State
 from insdvl.studies.teaching.increments import increments
 from insdvl.studies.teaching.residuals import Start, Stretch
 from insdvl.timeline.output import FoldResult

@@ -25,7 +25,7 @@ from insdvl.navigation.events import NS, Event, Imu
 from insdvl.navigation.geometry.frames import vector_from_rotation
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
-from insdvl.navigation.state import FOREVER, NEVER
+from insdvl.navigation.state.fields import FOREVER, NEVER
 from insdvl.tuner.features.differences import integrated_variances
 from insdvl.watch.alignment.causes import Miswired, miswired
 from insdvl.watch.alignment.gravity import GravityCheck

@@ -22,7 +22,9 @@ from insdvl.navigation.measurements.report import UpdateReport
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.prediction.kept import Kept
 from insdvl.navigation.start.initial_state import Start
-from insdvl.navigation.state import CORE, constants_type, layout, workspace_type
+from insdvl.navigation.state.fields import CORE
+from insdvl.navigation.state.layout import layout
+from insdvl.navigation.state.scratch import constants_type, workspace_type
 from insdvl.simulation.drawn.imu_errors import FLICKER, FirstOrder
 from insdvl.simulation.drawn.spectrum import flicker
 from insdvl.simulation.mission import Mission, Noise

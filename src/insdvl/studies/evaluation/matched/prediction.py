@@ -9,7 +9,7 @@ from sample to sample, as the simulator makes them. Within a sample they are con
 like a bias does: their columns of the transition are those of the bias of their channel, times
 sigma_j, which is known and changes with the vehicle's noise.
 
-The shaping states are the last ones of the optional states of a record (navigation/state.py).
+The shaping states are the last ones of the optional states of a record (navigation/state/).
 """
 
 import numpy as np
@@ -21,7 +21,8 @@ from insdvl.navigation import error_state
 from insdvl.navigation.error_state import ACCELEROMETER_BIAS, POSITION
 from insdvl.navigation.prediction import strapdown
 from insdvl.navigation.prediction.kept import keep
-from insdvl.navigation.state import CORE, Constants, State, Workspace
+from insdvl.navigation.state.fields import CORE, State
+from insdvl.navigation.state.scratch import Constants, Workspace
 
 # First elements of blocks, for the kernels.
 _BIAS, _P = ACCELEROMETER_BIAS.start, POSITION.start
