@@ -28,7 +28,6 @@ setup(
         "numpy",
         "pyyaml",
         "rosbags",
-        "scipy",
     ],
     extras_require={"test": ["pytest"]},
     zip_safe=True,
