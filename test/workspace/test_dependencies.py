@@ -234,6 +234,20 @@ def test_what_runs_aboard_loads_four_packages(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    "name",
+    [
+        *(f"insdvl.studies.{c}.command" for c in ("check", "evaluation", "init", "replay")),
+        "ros_insdvl_sim.simulator",
+    ],
+)
+def test_a_start_does_not_wait_for_what_few_need(name: str, tmp_path: Path) -> None:
+    """Each of these takes a part of a second to import, or more."""
+    slow = {"matplotlib", "scipy.signal", "scipy.spatial", "scipy.stats"}
+    text = f"import {name}, sys; print(*({slow} & sys.modules.keys()))"
+    assert output(text, tmp_path).split() == []
+
+
+@pytest.mark.parametrize(
     ("absent", "extras"),
     [
         pytest.param(set().union(*EXTRAS.values()), {"bags", "jobs", "plot"}, id="all"),
