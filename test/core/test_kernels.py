@@ -161,23 +161,30 @@ def test_home_unset_with_a_named_folder(run, tmp_path):
     assert not outcome.warnings
 
 
-def test_damaged_files(run, tmp_path):
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda content: b"\x80\x04garbage" * 50,
+        pytest.param(lambda content: content[: len(content) // 2], marks=pytest.mark.long),
+    ],
+    ids=["garbage", "half"],
+)
+def test_damaged_files(damage, run, tmp_path):
     """One warning, the function compiles again, and the next program finds the cache mended."""
     cache = tmp_path / "cache"
     run(INSDVL_CACHE_DIR=cache)
     contents = {path: path.read_bytes() for path in files(cache)}
     for damaged, content in contents.items():
-        for damage in (b"\x80\x04garbage" * 50, content[: len(content) // 2]):
-            for path in contents:
-                path.write_bytes(contents[path])
-            damaged.write_bytes(damage)
-            outcome = run(INSDVL_CACHE_DIR=cache)
-            assert outcome.hits == 0
-            (warning,) = outcome.warnings
-            assert "damaged cache" in warning
-            mended = run(INSDVL_CACHE_DIR=cache)
-            assert mended.hits == 1
-            assert not mended.warnings
+        for path in contents:
+            path.write_bytes(contents[path])
+        damaged.write_bytes(damage(content))
+        outcome = run(INSDVL_CACHE_DIR=cache)
+        assert outcome.hits == 0
+        (warning,) = outcome.warnings
+        assert "damaged cache" in warning
+        mended = run(INSDVL_CACHE_DIR=cache)
+        assert mended.hits == 1
+        assert not mended.warnings
     assert len(contents) == 2
 
 

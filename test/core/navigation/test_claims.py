@@ -75,7 +75,15 @@ def fill(kind: str, v_d: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return filled
 
 
-@pytest.mark.parametrize("kind", ["z", "all", "with zeros in turn", "rounded"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "z",
+        "all",
+        pytest.param("with zeros in turn", marks=pytest.mark.long),
+        pytest.param("rounded", marks=pytest.mark.long),
+    ],
+)
 def test_fill_values_are_as_no_measurement_for_however_long(kind: str) -> None:
     """To the bit, for 140 s, over twice gate.max_rejection_time; a good one is used at once."""
     m = mission(220.0)

@@ -87,10 +87,10 @@ CASES = [
     Case("ned", "body", np.radians(0.5), 0.005, 1e-5, 60.0),
     Case("ned", "nav", np.radians(0.5), 0.005, 1e-5, 60.0),
 ]
-#: Those of an initial velocity in NED run with the long tests.
+#: The first runs every time, the others with the long tests.
 PARAMETERS = [
-    pytest.param(case, marks=pytest.mark.long if case.velocity_frame == "nav" else ())
-    for case in CASES
+    pytest.param(case, marks=[pytest.mark.long] if number else [])
+    for number, case in enumerate(CASES)
 ]
 
 

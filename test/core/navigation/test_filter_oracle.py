@@ -192,7 +192,13 @@ def run_dense(dense, parameters, stamps_ns, f_i, w_i, events):
 
 @pytest.mark.parametrize(
     ("model", "convention", "bias_model"),
-    list(product(("invariant", "ned"), ("per_sample", "density"), ("none", "gauss_markov"))),
+    [
+        # Each pair of settings is in one of the four that run every time.
+        pytest.param(*settings, marks=[] if number in (1, 2, 4, 7) else [pytest.mark.long])
+        for number, settings in enumerate(
+            product(("invariant", "ned"), ("per_sample", "density"), ("none", "gauss_markov"))
+        )
+    ],
 )
 def test_mission_through_the_dense_filter(model, convention, bias_model):
     """Every state and covariance of the mission, with all arms, mounts and a full Q."""

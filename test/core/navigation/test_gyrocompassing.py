@@ -294,7 +294,10 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize("case", CASES, ids=["45", "100"])
+@pytest.mark.parametrize(
+    "case",
+    [pytest.param(CASES[0], id="45"), pytest.param(CASES[1], id="100", marks=pytest.mark.long)],
+)
 def test_attitude_and_biases_are_as_good_as_they_say(case: Case) -> None:
     """Limits of five short runs; all errors at the start are within five sigmas."""
     found = departures(replace(case, duration=SHORT), SHORT_RUNS)

@@ -131,6 +131,7 @@ def test_static_hour_from_first_principles():
     np.testing.assert_allclose(s["nav"]["C_n_b"], C_n_b, atol=1e-9)
 
 
+@pytest.mark.long
 def test_noiseless_hour_at_rest():
     """Position [m], velocity [m/s] and attitude [rad] at every sample of an hour at 100 Hz."""
     errors = largest_errors(STATIC, 0.01)

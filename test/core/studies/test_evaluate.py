@@ -61,6 +61,7 @@ def test_the_document_has_what_is_promised(document: dict) -> None:
     assert rows["perfect heading"]["srmse"] < oracle["srmse"]
 
 
+@pytest.mark.long
 def test_two_workers_give_the_same(document: dict, tmp_path: Path) -> None:
     """On Dask; that tasks have the same bits on every backend is a promise of the pool."""
     _, again = evaluate(tmp_path, "--rows", ROWS, "--jobs", "2", "--backend", "dask")

@@ -1,4 +1,8 @@
-"""The row `matched`: the filter that has the true shaping states of the simulated noise."""
+"""The row `matched`: the filter that has the true shaping states of the simulated noise.
+
+Its state record is of another size, so all functions of the filter are compiled again for it: what
+flies it is among the long tests.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -50,6 +54,7 @@ def metrics(run: Run, name: str, setting: Setting = CALIBRATED) -> dict[str, flo
 # ---------------------------------------------------------------- white noise
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "scenario, setting, rate",
     [
@@ -160,6 +165,7 @@ class Flight:
         )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("error_state", ["invariant", "ned"])
 @pytest.mark.parametrize("samples, decay", [(1, 0.9), (100, 1.0)])
 def test_covariances_follow_the_derivative_of_the_motion(
@@ -194,6 +200,7 @@ def test_covariances_follow_the_derivative_of_the_motion(
         assert true["optional"][at - CORE] == pytest.approx(decay**samples * step, rel=1e-12)
 
 
+@pytest.mark.long
 def test_shaping_states_are_stationary() -> None:
     flight = Flight(CALIBRATED, 300, 0.97, white=True)
     state, n = flight.state.copy(), flight.vehicle.n
@@ -229,6 +236,7 @@ def is_consistent(runs: Sequence[dict[str, float]], study: Study, duration: floa
 GOOD = Study("", seed=45, duration=120.0, sensors=Sensors(dvl_std=0.02, dvl_rate=5.0))
 
 
+@pytest.mark.long
 def test_it_is_consistent_in_coloured_noise_and_no_worse_than_the_oracle() -> None:
     study = replace(GOOD, scenario="coloured")
     runs = [Run(study, TEST, number) for number in range(12)]
@@ -238,6 +246,7 @@ def test_it_is_consistent_in_coloured_noise_and_no_worse_than_the_oracle() -> No
     assert gain.mean() > -3.0 * gain.std() / np.sqrt(len(gain))
 
 
+@pytest.mark.long
 def test_it_is_consistent_in_all_that_is_noise(monkeypatch: pytest.MonkeyPatch) -> None:
     """`realistic` without errors of scale and alignment, which are in no state."""
     monkeypatch.setattr(scenarios, "SCALE_FACTOR", (0.0, 0.0))
@@ -284,6 +293,7 @@ def squares(runs: Sequence[dict[str, float]]) -> Array:
 # ---------------------------------------------------------------- the row
 
 
+@pytest.mark.long
 def test_outliers_are_left_out() -> None:
     study = Study("coloured", seed=48, duration=60.0, sensors=Sensors(outliers=0.3))
     run = Run(study, TEST, 0)

@@ -160,11 +160,10 @@ def test_two_reversed_axes_are_named(mission: Mission) -> None:
 )
 def test_a_right_mission_is_never_accused(trajectory: Any, scenario: str) -> None:
     mission = simulate(trajectory, SCENARIOS[scenario], seed=4, duration=300.0)
-    watch = AlignmentCheck(FilterParameters())
-    for k, event in enumerate(events(mission)):
-        watch.add(event)
-        if k % 500 == 0:
-            assert watch.findings() == []
+    watch, found = AlignmentCheck(FilterParameters()), events(mission)
+    for first in range(0, len(found), 500):
+        watch.add_events(found[first : first + 500])
+        assert watch.findings() == []
     assert len(watch._motions) == 14
 
 
@@ -191,10 +190,10 @@ def test_errors_of_the_sensors_are_no_wrong_axes() -> None:
         "initial.accelerometer_bias_std": 0.1,
         "initial.gyroscope_bias_std": 2e-3,
     }
-    watch = AlignmentCheck(build(FilterParameters, declared))
-    for k, event in enumerate(events(mission)):
-        watch.add(event)
-        assert k % 50 or not watch.findings()  # a finding takes 10 s of samples
+    watch, found = AlignmentCheck(build(FilterParameters, declared)), events(mission)
+    for first in range(0, len(found), 50):
+        watch.add_events(found[first : first + 50])
+        assert not watch.findings()  # a finding takes 10 s of samples
     assert 8 <= len(watch._motions) <= 12
 
 
@@ -311,8 +310,7 @@ def test_a_recording_is_explained_at_its_end_as_by_one_who_watches_it(mission: M
     found = []
     for thinks in True, False:
         watch = AlignmentCheck(parameters, thinks=thinks)
-        for event in wrong:
-            watch.add(event)
+        watch.add_events(wrong)
         assert bool(watch.findings()) == thinks
         watch.finish()
         found.append(watch.findings())
