@@ -16,10 +16,11 @@ from insdvl.recordings.base import BagError
 from insdvl.simulation.mission import simulate
 from insdvl.simulation.noise import constant
 from insdvl.simulation.trajectories import BASELINE
+from insdvl.studies.replay.inputs.drawn_noise import DrawnNoise
 from insdvl.studies.replay.scores import errors_of
 from insdvl.studies.results import recordings, vehicle, vehicle_runs
 from insdvl.studies.results.recordings import Settings
-from insdvl.studies.results.vehicle_runs import METRICS, NoisyRun, Shared
+from insdvl.studies.results.vehicle_runs import METRICS, Noise, NoisyRun, Shared
 from insdvl.studies.results.vehicle_tables import vehicle_tables
 from insdvl.tuner.models import load_model
 
@@ -80,6 +81,11 @@ def shared(folder: Path, settings: Settings) -> Shared:
     return Shared(settings, {r.name: r for r in loaded}, {MODEL: load_model("paper")})
 
 
+def injection(shared: Shared, recording: str, name: str, role: int, index: int) -> Noise:
+    of = shared.recordings[recording]
+    return vehicle_runs.injection(shared.settings, of, name, SEED, role, index)
+
+
 @pytest.fixture(scope="module")
 def document(shared: Shared) -> dict[str, Any]:
     with open_pool(Workers(jobs=1)) as pool:
@@ -97,8 +103,7 @@ def document(shared: Shared) -> dict[str, Any]:
 @pytest.fixture(scope="module")
 def rows_of_c(shared: Shared) -> dict[str, Any]:
     """All rows of a noisy recording, and the seed of the noise."""
-    limits = vehicle_runs.INJECTIONS["sensor"]
-    injected = vehicle_runs.injection(shared.recordings["c"], limits, SEED, vehicle_runs.TEST, 1)
+    injected = injection(shared, "c", "sensor", vehicle_runs.TEST, 1)
     rows = vehicle_runs.all_rows(shared, NoisyRun("c", injected, {}))
     return {"injection": injected, "seed": injected.seed, "rows": rows}
 
@@ -146,6 +151,29 @@ def test_the_honest_total_is_the_injected_and_the_hand_set_noise(
     assert found == pytest.approx(errors["body_velocity_rmse"])
 
 
+def test_noise_that_is_not_white_is_told_by_what_integrates(shared: Shared) -> None:
+    """Its effective variances depend on the DVL of the recording."""
+    for name in "vibrating", "coloured":
+        noise = injection(shared, "a", name, vehicle_runs.TEST, 0)
+        assert isinstance(noise, DrawnNoise)
+        assert (noise.scenario, noise.dvl.rate) == (name, pytest.approx(1.0))
+        assert noise.dvl.noise_std == (0.02,) * 3
+        stamps_ns = shared.recordings["a"].stamps_ns
+        rows = vehicle_runs.all_rows(shared, NoisyRun("a", noise, {}))
+        q, samples = noise.draw(stamps_ns)
+        told = stamps_ns - 10_000_000, q
+        of_told = vehicle_runs.filtered(
+            shared.settings,
+            shared.recordings["a"],
+            shared.recordings["a"].samples + samples,
+            shared.settings.external(),
+            told,
+        )
+        recording = shared.recordings["a"]
+        errors = errors_of(of_told, recording.truth_ns, recording.truth)
+        assert rows["told"][0] == pytest.approx(errors["body_velocity_rmse"])
+
+
 def test_recordings_of_one_stretch_are_found(shared: Shared) -> None:
     assert recordings.stretches(list(shared.recordings.values())).tolist() == [0, 0, 1]
 
@@ -157,10 +185,9 @@ def test_every_run_has_its_own_noise(shared: Shared, document: dict[str, Any]) -
         for seeds in numbers["seeds"].values()
         for seed in seeds
     ]
-    limits = vehicle_runs.INJECTIONS["sensor"]
     tuning = [
-        vehicle_runs.injection(recording, limits, SEED, vehicle_runs.TUNING, k).seed
-        for recording in shared.recordings.values()
+        injection(shared, recording, "sensor", vehicle_runs.TUNING, k).seed
+        for recording in shared.recordings
         for k in range(2)
     ]
     assert len(set(test)) == 6  # the injections are paired
@@ -179,7 +206,7 @@ def test_the_best_constant_has_not_seen_the_stretch_that_it_is_used_on(
                 shared,
                 NoisyRun(
                     recording.name,
-                    vehicle_runs.injection(recording, limits, SEED, vehicle_runs.TUNING, 0),
+                    injection(shared, recording.name, name, vehicle_runs.TUNING, 0),
                     {f"{i}": q for i, q in enumerate(candidates)},
                 ),
             )
@@ -199,12 +226,10 @@ def test_the_grid_spans_what_is_injected() -> None:
 def test_the_numbers_are_means_and_ratios_of_the_runs(
     shared: Shared, document: dict[str, Any]
 ) -> None:
-    limits = vehicle_runs.INJECTIONS["published"]
     numbers = document["injections"]["published"]
 
     def rows(name: str, k: int) -> dict[str, Any]:
-        recording = shared.recordings[name]
-        injected = vehicle_runs.injection(recording, limits, SEED, vehicle_runs.TEST, k)
+        injected = injection(shared, name, "published", vehicle_runs.TEST, k)
         return vehicle_runs.all_rows(shared, NoisyRun(name, injected, {}))
 
     runs = {name: [rows(name, k) for k in range(2)] for name in shared.recordings}

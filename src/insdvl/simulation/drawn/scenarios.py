@@ -258,8 +258,30 @@ def _in_all_channels(limits: tuple[float, float], scale: tuple[float, float]) ->
     return scaled
 
 
+def vibration_in_samples(rate: float, rng: np.random.Generator) -> tuple[Line, ...]:
+    """The vibration of a vehicle as an IMU at a rate [Hz] shows it, for a motion that is given."""
+    frequency, variance, _ = _drawn_sines(rng)
+    return tuple(_in_samples(f, v, rate) for f, v in zip(frequency, variance, strict=True))
+
+
 def _drawn_vibration(rate: float, rng: np.random.Generator) -> tuple[Vibration, tuple[Line, ...]]:
     """The vibration of a vehicle, and what of it an IMU at a rate [Hz] shows aliased."""
+    frequency, variance, phases = _drawn_sines(rng)
+    moves = frequency < rate / 2.0
+    aliased = tuple(
+        _in_samples(f, v, rate) for f, v in zip(frequency[~moves], variance[~moves], strict=True)
+    )
+    return drawn_sines(2.0 * np.pi * frequency[moves], variance[moves], phases), aliased
+
+
+def _in_samples(frequency: float, variances: Array, rate: float) -> Line:
+    """A sine as it appears in samples: the mean over an interval attenuates, the rest folds."""
+    folded = float(abs(frequency - rate * np.rint(frequency / rate)))
+    return Line(folded, variances * float(np.sinc(frequency / rate)) ** 2)
+
+
+def _drawn_sines(rng: np.random.Generator) -> tuple[Array, Array, np.random.Generator]:
+    """Frequencies (L,) [Hz] and variances (L, 6) of lines and broadband vibration, and phases."""
     counts, line_rng, band_rng, phases = rng.spawn(4)
     middle = MIDDLE * _SCALE
     number = int(counts.integers(LINES + 1))
@@ -271,13 +293,7 @@ def _drawn_vibration(rate: float, rng: np.random.Generator) -> tuple[Vibration, 
     power = _log_uniform(BROADBAND_POWER, band_rng, 6) * middle
     frequency = np.concatenate([frequency, band])
     variance = np.concatenate([variance, np.tile(power / _SINES, (_SINES, 1))])
-    moves = frequency < rate / 2.0
-    aliased = tuple(
-        # The mean over an interval attenuates; the rest folds about multiples of half the rate.
-        Line(float(abs(f - rate * np.rint(f / rate))), v * float(np.sinc(f / rate)) ** 2)
-        for f, v in zip(frequency[~moves], variance[~moves], strict=True)
-    )
-    return drawn_sines(2.0 * np.pi * frequency[moves], variance[moves], phases), aliased
+    return frequency, variance, phases
 
 
 def _log_uniform(

@@ -286,7 +286,9 @@ Recordings of a real vehicle, with noise added to the IMU. Errors are difference
 reference. All measurements are used, as in the simulations; rows `gate on` have the gate of the
 configuration. *Told* receives the injected variances; *told with hand-set* receives them plus the
 hand-set variances, which stand for the noise of the recording itself. The learned rows are bounded
-by differences, the closed form is not.
+by differences, the closed form is not. `sensor` and `published` are white noise. `vibrating` and
+`coloured` are drawn as in [spectrum.md](spectrum.md), and told by their effective variances;
+vibration is in the samples of the IMU alone, as its velocity is no more than some mm/s.
 """,
         [vehicle_tables(document) if document else _missing("vehicle")],
     )

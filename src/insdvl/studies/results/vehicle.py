@@ -89,11 +89,11 @@ def study_recordings(
         }
 
     def tasks(
-        limits: Limits, role: int, n: int, constants: Sequence[Mapping[str, tuple[float, float]]]
+        name: str, role: int, n: int, constants: Sequence[Mapping[str, tuple[float, float]]]
     ) -> dict[str, NoisyRun]:
         return {
             f"{recording.name} {k}": NoisyRun(
-                recording.name, injection(recording, limits, seed, role, k), constants[i]
+                recording.name, injection(settings, recording, name, seed, role, k), constants[i]
             )
             for i, recording in enumerate(recordings)
             for k in range(n)
@@ -114,11 +114,11 @@ def study_recordings(
         tried = execute(
             f"{name}, constants",
             constant_run,
-            tasks(limits, TUNING, tuning_runs, [every] * len(names)),
+            tasks(name, TUNING, tuning_runs, [every] * len(names)),
         )
         cost = np.array([tried[row][:, :, 0].mean(axis=1) for row in every])  # (9, recordings)
         best = [candidates[int(np.argmin(cost[:, stretch != own].mean(axis=1)))] for own in stretch]
-        test = tasks(limits, TEST, runs, [{BEST_CONSTANT: q} for q in best])
+        test = tasks(name, TEST, runs, [{BEST_CONSTANT: q} for q in best])
         rows = execute(name, all_rows, test)
         document["injections"][name] = {
             "limits": limits,
@@ -126,7 +126,7 @@ def study_recordings(
             "best_constant": dict(zip(names, best, strict=True)),
             "seeds": {
                 recording.name: [
-                    injection(recording, limits, seed, TEST, k).seed for k in range(runs)
+                    injection(settings, recording, name, seed, TEST, k).seed for k in range(runs)
                 ]
                 for recording in recordings
             },

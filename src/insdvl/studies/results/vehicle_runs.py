@@ -14,14 +14,19 @@ rows and the closed form see the samples only; `hand-set` is the configuration a
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from insdvl.arrays import Array, Stamps
 from insdvl.navigation.events import NS, ProcessNoise
+from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.recordings.base import BagError
+from insdvl.simulation.drawn.scenarios import COLOURED, DRAWN, GYROSCOPE, WHITE
+from insdvl.simulation.sensors.dvl import DvlModel
 from insdvl.studies.evaluation.approaches import BANDS, BANDS_WITH_FACTOR
+from insdvl.studies.replay.inputs.drawn_noise import DrawnNoise
 from insdvl.studies.replay.inputs.injection import Injection, announcements
 from insdvl.studies.replay.scores import errors_of
 from insdvl.studies.results.recordings import Recording, Settings, stream_axes
@@ -35,10 +40,13 @@ Limits = tuple[tuple[float, float], tuple[float, float]]
 #: Stamps (K,) from which on variances (K, 6) apply.
 Received = tuple[Stamps, Array]
 
-#: Smallest and largest injected variance of the accelerometers and of the gyroscopes.
+#: Smallest and largest injected variance of the accelerometers and of the gyroscopes: of white
+#: noise, or of the noise of a scenario, vibration aside.
 INJECTIONS: dict[str, Limits] = {
     "sensor": ((1e-5, 0.05), (1e-7, 5e-4)),
     "published": ((1e-3, 0.05), (1e-3, 0.05)),
+    "vibrating": (WHITE, (GYROSCOPE * WHITE[0], GYROSCOPE * WHITE[1])),
+    "coloured": (COLOURED, (GYROSCOPE * COLOURED[0], GYROSCOPE * COLOURED[1])),
 }
 #: Numbers of `errors_of` in the study, and their names in tables.
 METRICS = {
@@ -61,11 +69,31 @@ WINDOW = 200  # samples of the closed form
 TUNING, TEST = 0, 1  # roles of a seed
 
 
-def injection(recording: Recording, limits: Limits, seed: int, role: int, index: int) -> Injection:
-    """Noise of one run, different for each recording, as `insdvl replay` would inject it."""
+class Noise(Protocol):
+    """Noise for the samples of a recording."""
+
+    @property
+    def seed(self) -> int:
+        """Random seed."""
+
+    def draw(self, stamps_ns: Stamps) -> tuple[Array, Array]:
+        """Variances (N, 6) that a filter needs, and noise (N, 6), in the axes of the stream."""
+
+
+def injection(
+    settings: Settings, recording: Recording, name: str, seed: int, role: int, index: int
+) -> Noise:
+    """Noise of one run, different for each recording.
+
+    White noise is that which `insdvl replay` would inject.
+    """
     key = (role, zlib.crc32(recording.name.encode()), index)
-    drawn = np.random.SeedSequence(seed, spawn_key=key).generate_state(1)[0]
-    return Injection(*limits, seed=int(drawn))
+    drawn = int(np.random.SeedSequence(seed, spawn_key=key).generate_state(1)[0])
+    if name not in DRAWN:
+        return Injection(*INJECTIONS[name], seed=drawn)
+    pings = [event.stamp_ns for event in recording.events if isinstance(event, Dvl)]
+    rate = NS / float(np.median(np.diff(pings)))
+    return DrawnNoise(name, DvlModel(rate=rate, noise_std=settings.filter.dvl.noise_std), drawn)
 
 
 def filtered(
@@ -143,12 +171,12 @@ class NoisyRun:
 
     Attributes:
         recording: Name of the recording.
-        injection: Injected noise; None for the recording as it is.
+        injection: What is injected; None for the recording as it is.
         constants: Constant variances of the two triads by row.
     """
 
     recording: str
-    injection: Injection | None
+    injection: Noise | None
     constants: Mapping[str, tuple[float, float]]
 
 
@@ -188,7 +216,7 @@ def all_rows(shared: Shared, task: NoisyRun) -> dict[str, Array]:
     return rows
 
 
-def _noisy(recording: Recording, injected: Injection | None) -> tuple[Array, Received | None]:
+def _noisy(recording: Recording, injected: Noise | None) -> tuple[Array, Received | None]:
     """The samples with the injected noise, and its variances as a filter receives them."""
     if injected is None:
         return recording.samples, None
