@@ -158,19 +158,13 @@ def test_noise_that_is_not_white_is_told_by_what_integrates(shared: Shared) -> N
         assert isinstance(noise, DrawnNoise)
         assert (noise.scenario, noise.dvl.rate) == (name, pytest.approx(1.0))
         assert noise.dvl.noise_std == (0.02,) * 3
-        stamps_ns = shared.recordings["a"].stamps_ns
         rows = vehicle_runs.all_rows(shared, NoisyRun("a", noise, {}))
-        q, samples = noise.draw(stamps_ns)
-        told = stamps_ns - 10_000_000, q
-        of_told = vehicle_runs.filtered(
-            shared.settings,
-            shared.recordings["a"],
-            shared.recordings["a"].samples + samples,
-            shared.settings.external(),
-            told,
-        )
-        recording = shared.recordings["a"]
-        errors = errors_of(of_told, recording.truth_ns, recording.truth)
+        settings, recording = shared.settings, shared.recordings["a"]
+        q, added = noise.draw(recording.stamps_ns)
+        told = recording.stamps_ns - 10_000_000, q
+        samples = recording.samples + added
+        result = vehicle_runs.filtered(settings, recording, samples, settings.external(), told)
+        errors = errors_of(result, recording.truth_ns, recording.truth)
         assert rows["told"][0] == pytest.approx(errors["body_velocity_rmse"])
 
 

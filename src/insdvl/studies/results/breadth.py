@@ -35,11 +35,11 @@ LENGTH, LENGTHS = 60.0, (30.0, 60.0, 120.0)
 RUNS = 10
 
 #: Learned Q and learned R, which has a meaning in `realistic`: R is not that of the data sheet.
-WITH_R = (FACTOR_WITH_R, FACTOR_WITH_ERROR)
+BOTH_LEARNED = (FACTOR_WITH_R, FACTOR_WITH_ERROR)
 #: In the order of the tables.
 _ROWS = (
     *(BEST_CONSTANT, CLOSED_FORM, LEAST_BAND, BANDS, BANDS_WITH_FACTOR),
-    *(ORACLE, MATCHED, *WITH_R),
+    *(ORACLE, MATCHED, *BOTH_LEARNED),
 )
 #: Of a row of a comparison; the rest would repeat what follows from the numbers of the runs.
 _KEPT = (
@@ -51,7 +51,7 @@ _KEPT = (
 
 def rows_of(scenario: str) -> tuple[str, ...]:
     """The rows of a comparison, in the order of the tables."""
-    return tuple(row for row in _ROWS if row not in WITH_R or scenario == "realistic")
+    return tuple(row for row in _ROWS if row not in BOTH_LEARNED or scenario == "realistic")
 
 
 def plans() -> list[Plan]:

@@ -118,7 +118,7 @@ def _drawn(name: str, row_: str) -> Target:
             return None
         ratios = found["ratio_to"]["best constant"]
         ratio, told = (ratios[of]["body_velocity_rmse"] for of in (row_, "told with hand-set"))
-        return f"{interval(ratio)} (told {interval(told)})", ratio[0] <= 0.94
+        return f"{interval(ratio)} (told with hand-set {interval(told)})", ratio[0] <= 0.94
 
     return Target(
         f"recordings with `{name}` noise injected: body velocity, `{row_}` / best constant, paired "
@@ -378,7 +378,7 @@ OF_BREADTH = (
         for row_ in (BANDS, BANDS_WITH_FACTOR)
         for target in _of_breadth(scenario, row_)
     ),
-    *(target for row_ in breadth.WITH_R for target in _of_breadth("realistic", row_)),
+    *(target for row_ in breadth.BOTH_LEARNED for target in _of_breadth("realistic", row_)),
 )
 
 

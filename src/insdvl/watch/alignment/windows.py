@@ -124,6 +124,7 @@ def integrated(
     state, out = np.zeros(_COLUMNS), np.empty((len(pings), _COLUMNS))
     state[_R] = np.eye(3).ravel()
     _integrate(t, f, w, at, state, out)
+    # Copies, since kernels are compiled for contiguous arrays.
     R, F, Phi, Psi, xi, Xi = (out[:, part].copy() for part in (_R, _F, _PHI, _PSI, _XI, _OMEGA))
     return Window(
         t=at,
