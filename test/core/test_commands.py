@@ -213,6 +213,7 @@ def test_names_in_arguments_are_those_of_the_modules() -> None:
     assert outages.CONVERGENCE == of_evaluation.CONVERGENCE
     assert tuple(approaches.PRESETS) == of_evaluation.PRESETS
     assert of_evaluation.ROWS == approaches.ROWS
+    assert of_evaluation.TRUE_FACTOR_ROWS == (approaches.TRUE_FACTOR, approaches.TRUE_FACTORS)
     assert of_evaluation.TAUGHT == approaches.TAUGHT
     assert tuple(approaches.R_SOURCES) == of_evaluation.R_ROWS
     assert AUV.duration == of_evaluation.DURATION

@@ -7,7 +7,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from insdvl.simulation.initial_errors import P_0
-from insdvl.studies.evaluation.approaches import ORACLE, Setting, approach
+from insdvl.studies.evaluation.approaches import (
+    BANDS,
+    ORACLE,
+    TRUE_FACTOR,
+    TRUE_FACTORS,
+    Setting,
+    approach,
+)
 from insdvl.studies.evaluation.metrics import Track, attitude_error, nees
 from insdvl.studies.evaluation.monte_carlo import (
     METRICS,
@@ -16,6 +23,7 @@ from insdvl.studies.evaluation.monte_carlo import (
     Run,
     Study,
     assess,
+    at_true_level,
     evaluate_run,
     failed,
     initial_of_run,
@@ -80,6 +88,35 @@ def test_the_oracle_is_told_the_true_variances(run: Run) -> None:
     every = len(run.mission.q) // len(told)
     assert len(told) * every == len(run.mission.q)
     np.testing.assert_array_equal(told[:-1], run.mission.q[every::every])
+
+
+def test_what_is_off_by_factors_is_right_at_the_true_level(run: Run) -> None:
+    stamps_ns = run.mission.stamps_ns[::100]
+    right = run.mission.q[::100]
+    factors = np.array([0.1, 0.5, 2.0, 1.0, 4.0, 30.0])
+    scaled = at_true_level(run.mission, stamps_ns, factors * right, each=True)
+    np.testing.assert_allclose(scaled, right, rtol=1e-12)
+    np.testing.assert_allclose(
+        at_true_level(run.mission, stamps_ns, 7.0 * right), right, rtol=1e-12
+    )
+    # One factor keeps the ratios of the channels, and has the mean level of the truth.
+    common = at_true_level(run.mission, stamps_ns, factors * right)
+    found = common / right
+    np.testing.assert_allclose(found / found[0, 0], np.broadcast_to(factors / 0.1, found.shape))
+    assert np.mean(np.log(common / right)) == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize(("row", "factors"), [(TRUE_FACTOR, 1), (TRUE_FACTORS, 6)])
+def test_rows_at_the_true_level_keep_what_bands_tells_of_changes(
+    run: Run, row: str, factors: int
+) -> None:
+    run.fold(approach(BANDS, CALIBRATED))
+    run.fold(approach(row, CALIBRATED))
+    (stamps_ns, told), (same_ns, scaled) = run._received[BANDS], run._received[row]
+    np.testing.assert_array_equal(stamps_ns, same_ns)
+    found = scaled / told
+    np.testing.assert_allclose(found, np.broadcast_to(found[0], found.shape), rtol=1e-12)
+    assert len(np.unique(found[0].round(9))) == factors
 
 
 def test_a_filter_that_is_right_has_a_nees_of_one() -> None:

@@ -45,6 +45,7 @@ ROWS = (
     "perfect heading",
 )
 #: Rows that are not among all, and have to be asked for.
+TRUE_FACTOR_ROWS = ("bands with true factor", "bands with true factors")
 TAUGHT = "taught"
 R_ROWS = (
     "R nominal",
@@ -146,7 +147,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--rows",
         metavar="NAME,NAME",
         help=f"approaches to compare, separated by commas (default: all): {', '.join(ROWS)}; "
-        f"{TAUGHT}, whose vehicle learns on other missions; "
+        f"{' and '.join(TRUE_FACTOR_ROWS)}, one and one for each channel, which take the level "
+        f"of Q from the truth; {TAUGHT}, whose vehicle learns on other missions; "
         f"and those that differ in the noise of the DVL: {', '.join(R_ROWS)}",
     )
     parser.add_argument(
@@ -206,7 +208,8 @@ def _faults(arguments: argparse.Namespace) -> Iterator[str]:
                 f"got {arguments.scenario}"
             )
     if arguments.rows is not None:
-        yield from unknown_names("--rows", arguments.rows.split(","), (*ROWS, TAUGHT, *R_ROWS))
+        every = (*ROWS, *TRUE_FACTOR_ROWS, TAUGHT, *R_ROWS)
+        yield from unknown_names("--rows", arguments.rows.split(","), every)
     yield from run_faults(arguments)
     for option, (low, high, unit) in _RANGES.items():
         value = getattr(arguments, option.removeprefix("--").replace("-", "_"))

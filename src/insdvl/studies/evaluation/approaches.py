@@ -63,6 +63,9 @@ LEARNED = {
 BANDS = "bands"
 #: The same, with a factor that the innovations tell.
 BANDS_WITH_FACTOR = "bands with factor"
+#: The same, at the level of the truth: with one factor for a mission, or one for each channel. They
+#: show what a factor can gain, and are not among `ROWS`.
+TRUE_FACTOR, TRUE_FACTORS = "bands with true factor", "bands with true factors"
 #: The row whose vehicle has taught itself on other missions; not among `ROWS`, for it takes long.
 TAUGHT = "taught"
 CLOSED_FORM = "closed form"
@@ -351,7 +354,8 @@ def model_of(row: str) -> str | None:
     """Name or path of the model of a row; None where the row has none."""
     if row.startswith(OWN_MODEL):
         return row.removeprefix(OWN_MODEL)
-    return BANDS if row in (BANDS, BANDS_WITH_FACTOR, *WITH_R) else LEARNED.get(row)
+    of_bands = (BANDS, BANDS_WITH_FACTOR, TRUE_FACTOR, TRUE_FACTORS, *WITH_R)
+    return BANDS if row in of_bands else LEARNED.get(row)
 
 
 @cache

@@ -15,6 +15,8 @@ from insdvl.studies.evaluation.approaches import (
     R_SOURCES,
     ROWS,
     TAUGHT,
+    TRUE_FACTOR,
+    TRUE_FACTORS,
     Setting,
     fingerprint,
 )
@@ -80,7 +82,7 @@ def _check_places(arguments: argparse.Namespace) -> None:
 
 def _plan(arguments: argparse.Namespace) -> Plan:
     rows = ROWS if arguments.rows is None else tuple(arguments.rows.split(","))
-    every = (*ROWS, TAUGHT, *R_SOURCES)
+    every = (*ROWS, TRUE_FACTOR, TRUE_FACTORS, TAUGHT, *R_SOURCES)
     rows = tuple(row for row in every if row in rows)
     if arguments.model is not None:
         load_model(arguments.model)

@@ -16,9 +16,12 @@ from insdvl.navigation.parameters import FilterParameters
 from insdvl.simulation.mission import Mission
 from insdvl.studies.evaluation import outages
 from insdvl.studies.evaluation.approaches import (
+    BANDS,
     MATCHED,
     ORACLE,
     TAUGHT,
+    TRUE_FACTOR,
+    TRUE_FACTORS,
     Approach,
     estimator,
     own_estimator,
@@ -186,6 +189,10 @@ class Run(Flight):
         source = approach.q_source
         if source == ORACLE:
             return self.mission.process_noise()
+        if source in (TRUE_FACTOR, TRUE_FACTORS):
+            stamps_ns, told = self.learned(*estimator(BANDS), RATE)
+            each = source == TRUE_FACTORS
+            return stamps_ns, at_true_level(self.mission, stamps_ns, told, each=each)
         if source == TAUGHT:
             study, split, number = self._of
             model = taught_model(
@@ -203,6 +210,24 @@ class Run(Flight):
         if own is not None:
             return tuned_by_own(self.mission.stamps_ns, self.samples, own, RATE, MAX_GAP_NS)
         return self.learned(*estimator(source), RATE)
+
+
+def at_true_level(mission: Mission, stamps_ns: Stamps, told: Array, *, each: bool = False) -> Array:
+    """Told variances times the factor that makes their level that of the truth.
+
+    The level is the mean over a mission of the logarithm of the variances that are effective.
+
+    Args:
+        mission: The mission.
+        stamps_ns: (K,) of the told variances.
+        told: (K, 6).
+        each: Whether each channel has a factor of its own.
+    """
+    at = np.searchsorted(mission.stamps_ns, stamps_ns)
+    effective = mission.q[np.minimum(at, len(mission.q) - 1)]
+    logarithm = np.mean(np.log(effective / told), axis=0)
+    scaled: Array = told * np.exp(logarithm if each else np.mean(logarithm))
+    return scaled
 
 
 def _every(parameters: FilterParameters) -> int:

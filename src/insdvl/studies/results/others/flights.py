@@ -21,11 +21,12 @@ from insdvl.studies.evaluation.approaches import (
     FIRST,
     LEAST_BAND,
     ORACLE,
+    TRUE_FACTOR,
     WINDOW,
     Setting,
     model,
 )
-from insdvl.studies.evaluation.monte_carlo import MAX_GAP_NS, RATE, Flight
+from insdvl.studies.evaluation.monte_carlo import MAX_GAP_NS, RATE, Flight, at_true_level
 from insdvl.timeline.output import FoldResult
 from insdvl.tuner.features.band_forms import least_band
 from insdvl.tuner.features.bands import NEAR
@@ -42,6 +43,7 @@ SOURCES = {
     BANDS: BANDS,
     BANDS_WITH_FACTOR: BANDS,
     FACTOR_WITH_R: BANDS,
+    TRUE_FACTOR: TRUE_FACTOR,
 }
 #: All rows, in the order of the tables.
 ROWS = (BEST_CONSTANT, *SOURCES)
@@ -137,6 +139,9 @@ def told_by(source: str, flight: Flight) -> Told:
     m = flight.mission
     if source == ORACLE:
         return m.process_noise()
+    if source == TRUE_FACTOR:
+        stamps_ns, told = told_by(BANDS, flight)
+        return stamps_ns, at_true_level(m, stamps_ns, told)
     learned = model(source)
     if learned is not None:
         return tuned_by_model(m.stamps_ns, flight.samples, learned, TunerParameters())
