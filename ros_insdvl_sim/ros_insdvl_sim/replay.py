@@ -26,10 +26,10 @@ HELP = Help(
     about="""
 The replay plays a rosbag2 recording onto the topics of the filter, at the pace of the IMU's stamps.
 
-publishes   imu/data_raw, dvl/velocity, dvl/velocity_cov, process_noise, gps/fix, set_odometry,
-            ground_truth/odometry, ground_truth/process_noise: those that the recording has, and
-            further_topics; /tf_static where tf2_msgs is installed; /diagnostics, and /clock with
-            rate_factor
+publishes   imu/data_raw, dvl/velocity, dvl/velocity_cov, process_noise, measurement_noise,
+            gps/fix, set_odometry, ground_truth/odometry, ground_truth/process_noise,
+            ground_truth/measurement_noise: those that the recording has, and further_topics;
+            /tf_static where tf2_msgs is installed; /diagnostics, and /clock with rate_factor
 
 It starts when imu/data_raw has min_subscribers subscribers, and ends with the recording.
 `insdvl replay` runs the filter over a recording without ROS.

@@ -26,7 +26,8 @@ HELP = Help(
 The simulator publishes the sensors of a simulated vehicle on a mission, and the truth.
 
 publishes   imu/data_raw, dvl/velocity, depth/pressure where it is on, ground_truth/odometry,
-            ground_truth/process_noise, /diagnostics, and /clock with rate_factor
+            ground_truth/process_noise, ground_truth/measurement_noise, /diagnostics, and
+            /clock with rate_factor
 
 It starts when imu/data_raw has min_subscribers subscribers, and ends with the mission.
 """,
@@ -38,7 +39,7 @@ class Simulator(Player[SimulatorParameters]):
     """Simulates the whole mission, then plays it.
 
     The stamps are start + k dt in integer nanoseconds. Messages of one stamp are sent in the order
-    IMU, odometry, process noise, DVL, depth, heading.
+    IMU, odometry, process noise, measurement noise, DVL, depth, heading.
     """
 
     def __init__(self, **options: Any) -> None:

@@ -137,7 +137,6 @@ WRONG_CALLS = {
             "--scheduler host:1 needs --backend dask, got loky",
             "--seed must be within 0 to 4294967295, got -1",
             "--window must be within 10 to 2000, got 1",
-            "--quick is for --preset bands, got --preset defalt",
         ],
     ),
     "results": (

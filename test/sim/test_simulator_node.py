@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import TwistStamped
+from geometry_msgs.msg import TwistStamped, TwistWithCovarianceStamped
 from graphs import RELIABLE, Graph
 from nav_msgs.msg import Odometry
 from ros_messages import stamp_of
@@ -35,6 +35,7 @@ TOPICS = {
     "dvl/velocity": TwistStamped,
     "ground_truth/odometry": Odometry,
     "ground_truth/process_noise": Imu,
+    "ground_truth/measurement_noise": TwistWithCovarianceStamped,
 }
 NODE = "/auv/insdvl_simulator"
 DEADLINE = 300.0  # s; only a hang takes so long
@@ -95,6 +96,7 @@ def test_stamps_frames_and_counts(graph):
     assert stamps(received["dvl/velocity"]) == [
         start + k * NS for k in (1, 2, 5, 6, 7, 8, 9, 10, 11, 12)
     ]
+    assert stamps(received["ground_truth/measurement_noise"]) == stamps(received["dvl/velocity"])
     assert set(range(start, start + 12 * NS, NS)) <= set(
         stamps(received["ground_truth/process_noise"])
     )
@@ -104,6 +106,7 @@ def test_stamps_frames_and_counts(graph):
         "dvl/velocity": {"dvl_link"},
         "ground_truth/odometry": {"odom"},
         "ground_truth/process_noise": {"base_link"},
+        "ground_truth/measurement_noise": {"dvl_link"},
     }
     assert {m.child_frame_id for m in received["ground_truth/odometry"]} == {"base_link"}
 
@@ -185,6 +188,19 @@ def test_covariances(graph):
         np.testing.assert_array_equal(
             message.angular_velocity_covariance.reshape(3, 3), np.diag(q[3:])
         )
+
+
+def test_the_true_noise_of_each_ping(graph):
+    """It depends on the bottom and the altitude."""
+    parameters = {"noise.profile": "realistic", "duration": 8.0, "seed": 3}
+    graph.play(**(FAST | parameters))
+    mission = mission_of(build(SimulatorParameters, parameters))
+    found = graph.take()["ground_truth/measurement_noise"]
+    assert len(np.unique(mission.r[:, 0])) > 1
+    blocks = np.array([m.twist.covariance.reshape(6, 6) for m in found])
+    np.testing.assert_array_equal(blocks[:, :3, :3], [np.diag(r) for r in mission.r])
+    assert not blocks[:, 3:].any()
+    assert stamps(found) == mission.dvl_stamps_ns.tolist()
 
 
 def test_covariance_of_each_sample_on_demand(graph):

@@ -29,6 +29,7 @@ TRUTH = "ground_truth/odometry"
 PROCESS_NOISE = "process_noise"
 TRUE_PROCESS_NOISE = "ground_truth/process_noise"
 MEASUREMENT_NOISE = "measurement_noise"
+TRUE_MEASUREMENT_NOISE = "ground_truth/measurement_noise"
 FIX = "gps/fix"
 DEPTH = "depth/pressure"
 HEADING = "heading/orientation"
@@ -235,6 +236,22 @@ def _of_source(topic: str, source: str, replay_parameter: str) -> Topic:
     )
 
 
+def _of_dvl_noise(topic: str, sources: tuple[str, ...], replay_parameter: str) -> Topic:
+    """The topic of a covariance of the DVL's noise: taken with these of its sources."""
+    return Topic(
+        topic,
+        (convert.TWIST_WITH_COVARIANCE,),
+        _measurement_noise,
+        ("bad_stamp", "no_data", "bad_covariance"),
+        command=True,
+        taken=lambda parameters: parameters.dvl.noise_source in sources,
+        frames=_DVL_FRAMES,
+        zero_stamp=ZeroStamp.BEGINNING,
+        time_offset="dvl.time_offset",  # it has the stamps of the measurements that it is of
+        replay_parameter=replay_parameter,
+    )
+
+
 #: In the order in which a stamp's measurements are used.
 TOPICS: tuple[Topic, ...] = (
     Topic(
@@ -328,17 +345,12 @@ TOPICS: tuple[Topic, ...] = (
     ),
     _of_source(PROCESS_NOISE, "external", "process_noise_topic"),
     _of_source(TRUE_PROCESS_NOISE, "oracle", "true_process_noise_topic"),
-    Topic(
-        MEASUREMENT_NOISE,
-        (convert.TWIST_WITH_COVARIANCE,),
-        _measurement_noise,
-        ("bad_stamp", "no_data", "bad_covariance"),
-        command=True,
-        taken=lambda parameters: parameters.dvl.noise_source != "nominal",
-        frames=_DVL_FRAMES,
-        zero_stamp=ZeroStamp.BEGINNING,
-        time_offset="dvl.time_offset",  # it has the stamps of the measurements that it is of
-        replay_parameter="measurement_noise_topic",
+    _of_dvl_noise(MEASUREMENT_NOISE, ("adaptive", "learned"), "measurement_noise_topic"),
+    replace(
+        _of_dvl_noise(TRUE_MEASUREMENT_NOISE, ("oracle",), "true_measurement_noise_topic"),
+        required=lambda parameters: (
+            "dvl.noise_source is 'oracle'" if parameters.dvl.noise_source == "oracle" else ""
+        ),
     ),
     Topic(
         FIX,

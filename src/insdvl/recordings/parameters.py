@@ -42,6 +42,10 @@ class ReplayParameters:
     true_process_noise_topic: str = parameter(
         "/ground_truth/process_noise", "sensor_msgs/Imu, played on ground_truth/process_noise."
     )
+    true_measurement_noise_topic: str = parameter(
+        "/ground_truth/measurement_noise",
+        "TwistWithCovarianceStamped, played on ground_truth/measurement_noise.",
+    )
     fix_topic: str = parameter("/gps/fix", "sensor_msgs/NavSatFix, played on gps/fix.")
     set_odometry_topic: str = parameter(
         "/set_odometry", "nav_msgs/Odometry, played on set_odometry."

@@ -18,13 +18,21 @@ from insdvl.messages.make import (
     fill_twist,
     fill_variances,
 )
-from insdvl.messages.topics import DEPTH, DVL, HEADING, IMU, TRUE_PROCESS_NOISE, TRUTH
+from insdvl.messages.topics import (
+    DEPTH,
+    DVL,
+    HEADING,
+    IMU,
+    TRUE_MEASUREMENT_NOISE,
+    TRUE_PROCESS_NOISE,
+    TRUTH,
+)
 from insdvl.navigation.geometry.frames import ENU, Convention, quaternion_from_rotation
 from insdvl.simulation.mission import Mission
 from insdvl.simulation.motion import Truth
 
 #: The topics of every mission.
-PUBLISHED = (IMU, DVL, TRUTH, TRUE_PROCESS_NOISE)
+PUBLISHED = (IMU, DVL, TRUTH, TRUE_PROCESS_NOISE, TRUE_MEASUREMENT_NOISE)
 
 #: Makes a message for a topic of the table. Each message is yielded before the next one of its
 #: topic is made, so a message that is serialised at once may be used again.
@@ -87,6 +95,7 @@ def mission_messages(
         imu_messages(mission, new, form),
         truth_messages(mission, new, form),
         process_noise_messages(mission, new, form),
+        measurement_noise_messages(mission, new, form),
         dvl_messages(mission, new, form),
         depth_messages(mission, new, form),
         heading_messages(mission, new, form),
@@ -202,3 +211,15 @@ def process_noise_messages(
         fill_imu(message, stamp_ns, f_b[row], w_ib_b[row])
         fill_variances(message, q)
         yield Timed(stamp_ns, TRUE_PROCESS_NOISE, message)
+
+
+def measurement_noise_messages(
+    mission: Mission, new: NewMessage, form: StreamFormat = DEFAULT
+) -> Iterator[Timed]:
+    """The covariance of each ping's noise; the twist is zero, and tells nothing."""
+    stamps = (mission.dvl_stamps_ns + form.start_ns).tolist()
+    for stamp_ns, r in zip(stamps, mission.r, strict=True):
+        message = new(TRUE_MEASUREMENT_NOISE)
+        message.header.frame_id = form.dvl
+        fill_twist(message, stamp_ns, np.zeros(3), np.diag(r))  # in any signs of the axes
+        yield Timed(stamp_ns, TRUE_MEASUREMENT_NOISE, message)

@@ -83,6 +83,7 @@ def test_the_initial_topic_is_none_that_has_another_use() -> None:
         ({"process_noise.source": "oracle"}, {topics.TRUE_PROCESS_NOISE}),
         ({"process_noise.source": "message"}, set()),
         ({"dvl.noise_source": "learned"}, {topics.MEASUREMENT_NOISE}),
+        ({"dvl.noise_source": "oracle"}, {topics.TRUE_MEASUREMENT_NOISE}),
         ({"origin.source": "topic"}, {topics.FIX}),
         ({"depth.topic": "bar30/pressure"}, {"bar30/pressure"}),
         ({"heading.topic": "compass/heading"}, {"compass/heading"}),
@@ -113,7 +114,9 @@ def test_a_row_refuses_for_its_reasons_and_no_others() -> None:
     found: defaultdict[str, set[str]] = defaultdict(set)
     of_driver: defaultdict[str, set[str]] = defaultdict(set)
     for seed, source in enumerate(("external", "oracle", "message")):
-        parameters = build(FilterParameters, ALL | {"process_noise.source": source})
+        values = ALL | {"process_noise.source": source}
+        values |= {"dvl.noise_source": "oracle"} if source == "oracle" else {}
+        parameters = build(FilterParameters, values)
         for name, topic in Inputs(parameters).topics.items():
             for kind in topic.types if name == DVL and seed == 0 else topic.types[:1]:
                 feed = Feed(parameters)  # of one: none is refused for the stamps of another one

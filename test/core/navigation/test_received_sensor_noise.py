@@ -15,6 +15,7 @@ from insdvl.navigation.parameters import (
     OriginParameters,
     ProcessNoiseParameters,
 )
+from insdvl.simulation.drawn.scenarios import DRAWN
 from insdvl.simulation.initial_errors import P_0, drawn_initial
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import constant
@@ -178,3 +179,27 @@ def test_numbers_that_no_noise_has_are_refused() -> None:
     assert refusal(SensorNoise(0, "dvl", np.full((3, 3), np.nan))) == "not_finite"
     assert refusal(SensorNoise(0, "dvl", 1e13 * np.eye(3))) == "out_of_range"
     assert refusal(received(1.0)) is None
+
+
+def test_the_true_noise_of_each_ping_is_as_good_as_its_covariance() -> None:
+    """The source ``oracle``: a filter whose pings tell their own covariance is the same."""
+    m = mission_above_a_bottom()
+    own = [replace(ping, R=np.diag(r)) for ping, r in zip(pings(m), m.r, strict=True)]
+    told = [
+        SensorNoise(stamp, "dvl", np.diag(r))
+        for stamp, r in zip(m.dvl_stamps_ns.tolist(), m.r, strict=True)
+    ]
+    nominal, oracle = parameters("nominal"), parameters("oracle")
+    assert m.r.max() > 2.0 * m.r.min()
+    of_ping, of_oracle = (
+        fold_arrays(p, m.stamps_ns, m.f_b, m.w_ib_b, [start(m, p), *events])
+        for p, events in ((nominal, own), (oracle, [*told, *pings(m)]))
+    )
+    # The gain of an estimated R is that of R, its covariance Joseph's: equal but for rounding.
+    for name in ("v_n", "C_n_b"):
+        np.testing.assert_allclose(of_oracle.track[name], of_ping.track[name], atol=1e-9)
+
+
+def mission_above_a_bottom() -> Mission:
+    model = DvlModel(noise_std=(STD,) * 3, rate=5.0)
+    return simulate(AUV, DRAWN["bottom-tactical"], seed=SEED, duration=60.0, dvl=model)

@@ -203,6 +203,13 @@ def test_the_command_writes_a_model_that_loads(quick, tmp_path, capsys):
     assert "spiral_dive unseen: RMSE" in printed
 
 
+@pytest.mark.long
+def test_the_quick_training_has_a_tenth_of_the_data(tmp_path):
+    assert cli.main([*TRAIN, "--quick", "--out", str(tmp_path)]) == 0
+    card = load_model(str(tmp_path / "paper-quick.npz")).card
+    assert card["data_set"]["examples"] == 72_000 // 10
+
+
 def test_the_command_writes_the_same_bytes_again(quick, written, tmp_path):
     assert cli.main([*TRAIN, "--out", str(tmp_path)]) == 0
     for name in ("paper.npz", "paper.json"):

@@ -23,7 +23,7 @@ from insdvl.navigation.measurements.base import Linearised, SensorModel
 from insdvl.navigation.state.fields import COUNT, COVARIANCE, NEVER, NUMBER, STAMP, Field, State
 
 #: Sources of a sensor's noise, its parameter ``noise_source``.
-NOMINAL, LEARNED = "nominal", "learned"
+NOMINAL, LEARNED, ORACLE = "nominal", "learned", "oracle"
 
 #: After so long [s] without a measurement an innovation is not compared with the one before.
 PAUSE = 10.0
@@ -85,7 +85,8 @@ class MeasurementNoise:
         self._group = f"{name}_noise"
         self._model = model
         self._timeout_ns = timeout_ns
-        self._learned = model.noise_source == LEARNED
+        # What is received has no doubt either; the oracle differs in the topic alone.
+        self._learned = model.noise_source in (LEARNED, ORACLE)
 
     def start(self, s: State) -> None:
         """Nothing is known but what was received; the nominal noise is expected."""

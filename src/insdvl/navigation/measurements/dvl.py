@@ -134,8 +134,9 @@ class DvlParameters(SensorParameters):
         "nominal",
         "Where the noise comes from: as dvl.covariance says; or that times a factor from the "
         "innovations, guarded by the pings and the IMU between them (adaptive), or from those "
-        "alone (learned). The tuner's measurement_noise takes the place of the latter.",
-        choices=("nominal", "adaptive", "learned"),
+        "alone (learned). The tuner's measurement_noise takes the place of the latter. With oracle "
+        "the simulator's ground_truth/measurement_noise does.",
+        choices=("nominal", "adaptive", "learned", "oracle"),
     )
     noise_floor: float = parameter(
         0.01,

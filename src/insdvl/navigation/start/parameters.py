@@ -24,6 +24,7 @@ _NO_INITIAL_TOPIC = (
     "process_noise",
     "ground_truth/process_noise",
     "measurement_noise",
+    "ground_truth/measurement_noise",
     "gps/fix",
     "set_odometry",
     "odometry/filtered",

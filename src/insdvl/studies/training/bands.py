@@ -38,7 +38,7 @@ with extra("train"):
     from threadpoolctl import threadpool_limits
 
 SCHEMA = "bands"
-VEHICLES, QUICK_VEHICLES = 100, 10  # of each kind
+VEHICLES = 100  # of each kind
 DURATION = 200.0  # s
 LOW_PASSED = 1.0 / 3.0  # share of the IMUs with a low-pass
 
@@ -63,7 +63,7 @@ def train(
     pool: Pool,
     store: Store | None,
     say: Callable[[str], None],
-    quick: bool = False,
+    of_each_kind: int = VEHICLES,
 ) -> tuple[bytes, dict[str, Any]]:
     """Train the model.
 
@@ -74,13 +74,12 @@ def train(
         pool: Does the work; the result does not depend on it.
         store: Keeps finished parts.
         say: Called with messages of progress.
-        quick: Fewer vehicles.
+        of_each_kind: Number of vehicles.
 
     Returns:
         The file of the model, and its card without name and hash.
     """
-    number = QUICK_VEHICLES if quick else VEHICLES
-    recipe = Recipe(preset, seed, number, DURATION, LOW_PASSED)
+    recipe = Recipe(preset, seed, of_each_kind, DURATION, LOW_PASSED)
     data = vehicles.build(recipe, pool, store)
     say(f"data set: {data.q.size} examples of {recipe.vehicles * len(KINDS)} vehicles")
     usable = data.scale > 0.0

@@ -3,10 +3,12 @@
 import argparse
 import sys
 import tempfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from types import MappingProxyType
 
 from insdvl.jobs.options import Workers, WorkersError, workers_from
 from insdvl.jobs.pool import TaskError, open_pool
@@ -21,18 +23,20 @@ class Preset:
     """The module that trains a model.
 
     Attributes:
-        module: Has ``train(preset, window, seed, pool, store, say)``, and for `bands` also
-            ``quick``; imported only when needed.
+        module: Has ``train(preset, window, seed, pool, store, say)``; imported only when needed.
+        quick: Further arguments of it, for a tenth of the data.
         packages: Optional packages that it needs.
     """
 
     module: str
+    quick: Mapping[str, int]
     packages: tuple[str, ...] = ()
 
 
-_TREES = Preset("insdvl.studies.training.ensemble")
-_NETWORK = Preset("insdvl.studies.training.network", ("torch", "onnx", "onnxruntime"))
-_BANDS = Preset("insdvl.studies.training.bands")
+_FEW_WINDOWS = MappingProxyType({"n_windows": dataset.WINDOWS // 10})
+_TREES = Preset("insdvl.studies.training.ensemble", _FEW_WINDOWS)
+_NETWORK = Preset("insdvl.studies.training.network", _FEW_WINDOWS, ("torch", "onnx", "onnxruntime"))
+_BANDS = Preset("insdvl.studies.training.bands", MappingProxyType({"of_each_kind": 10}))
 
 PRESETS = {
     "bands": _BANDS,
@@ -53,21 +57,23 @@ def run(arguments: argparse.Namespace) -> int:
         return teaching.run(arguments)
     preset, window, out = arguments.preset, arguments.window, arguments.out
     name = preset if window == dataset.WINDOW else f"{preset}-{window}"
+    if arguments.quick:
+        name += "-quick"
     try:
         workers = _checked(arguments)
     except (ValueError, OSError) as error:
         print(f"insdvl train: {error}", file=sys.stderr)
         return 2
     module = import_module(PRESETS[preset].module)
-    quick = {"quick": True} if arguments.quick else {}
+    extent = PRESETS[preset].quick if arguments.quick else {}
     try:
         with open_pool(workers) as pool:
             store = Store(
                 out / f".{name}.work",
-                {"preset": preset, "window": window, "seed": arguments.seed, **quick},
+                {"preset": preset, "window": window, "seed": arguments.seed, **extent},
                 Path(str(module.__file__)),
             )
-            data, card = module.train(preset, window, arguments.seed, pool, store, print, **quick)
+            data, card = module.train(preset, window, arguments.seed, pool, store, print, **extent)
             written = write_model(out, data, {"name": name, **card})
             store.clear()
     except (WorkersError, OSError) as error:
