@@ -17,7 +17,7 @@ from insdvl.studies.results.page import pages
 
 @pytest.fixture(scope="module")
 def document(tmp_path_factory: pytest.TempPathFactory) -> dict:
-    """Three lines of two IMUs, with short missions and a search among two constants."""
+    """Three lines of two IMUs, and one of a better DVL, with short missions and a search among two constants."""
     search, folder = comparison.constants, tmp_path_factory.mktemp("store")
     short = [
         replace(
@@ -27,6 +27,7 @@ def document(tmp_path_factory: pytest.TempPathFactory) -> dict:
         if plan.scenario == "coloured"
         and plan.setting.sensors.imu_grade in ("fog", "mems")
         and plan.setting.sensors.dvl_rate != 5.0
+        and (plan.setting.sensors.dvl_std == 0.1 or plan.setting.sensors.imu_grade == "mems")
     ]
     planned = breadth.with_runs(short, runs=2, tuning_runs=2, seed=4)
     with pytest.MonkeyPatch.context() as patch, open_pool(Workers(jobs=1)) as pool:
@@ -39,11 +40,12 @@ def page_of(document: dict) -> str:
     return pages({"breadth": document})["breadth"]
 
 
-def comparison_of(document: dict, grade: str, rate: float, outage: float) -> dict:
+def comparison_of(document: dict, grade: str, rate: float, outage: float, std: float = 0.1) -> dict:
+    names = ("imu_grade", "dvl_rate", "outage", "dvl_std")
     (found,) = [
         one
         for one in document["comparisons"]
-        if (one["imu_grade"], one["dvl_rate"], one["outage"]) == (grade, rate, outage)
+        if tuple(one[name] for name in names) == (grade, rate, outage, std)
     ]
     return found
 
@@ -56,15 +58,16 @@ def test_each_grade_meets_each_rate_and_outages() -> None:
     planned = breadth.plans()
     grades = {"fog", "tactical", "mems"}
     vehicles = [(plan.scenario, plan.setting.sensors) for plan in planned]
-    found = {(name, one.imu_grade, one.dvl_rate, one.outage) for name, one in vehicles}
+    found = {(name, one.imu_grade, one.dvl_rate, one.dvl_std, one.outage) for name, one in vehicles}
     assert found == {
-        *product(breadth.SCENARIOS, grades, (5.0, 1.0, 0.2), (0.0,)),
-        *product(breadth.SCENARIOS, grades, (1.0,), (60.0,)),
-        *product(("realistic",), grades, (1.0,), (30.0, 120.0)),
+        *product(breadth.SCENARIOS, grades, (5.0, 1.0, 0.2), (0.1,), (0.0,)),
+        *product(breadth.SCENARIOS, grades, (1.0,), (0.02,), (0.0,)),
+        *product(breadth.SCENARIOS, grades, (1.0,), (0.1,), (60.0,)),
+        *product(("realistic",), grades, (1.0,), (0.1,), (30.0, 120.0)),
     }
     # The store keeps the runs by the label, and the searches by the vehicle.
     assert len({plan.label for plan in planned}) == len(planned) == len(found)
-    assert len({plan.vehicle for plan in planned}) == 36
+    assert len({plan.vehicle for plan in planned}) == 48
     for name in (
         "bands with factor and R adaptive",
         "bands with factor and R adaptive and DVL error",
@@ -120,16 +123,16 @@ def test_a_target_is_met_when_every_line_meets_it(document: dict) -> None:
     slow["ratio_to"]["best constant"]["body_rmse"] = [0.98, 0.97, 1.0]
     words = "`coloured`: body velocity, `bands` / best constant"
     assert line_of(page_of(changed), words).endswith(
-        "| 4 of 4; worst 0.980 [0.970, 1.000] (mems, 0.2 Hz); oracle 4 of 4 | yes |"
+        "| 5 of 5; worst 0.980 [0.970, 1.000] (mems, 0.2 Hz); oracle 5 of 5 | yes |"
     )
     slow["ratio_to"]["best constant"]["body_rmse"][2] = 1.001
     row_of(comparison_of(changed, "fog", 1.0, 0.0))["nees_per_dof"]["velocity"] = 0.84
     text = page_of(changed)
     assert line_of(text, words).endswith(
-        "| 3 of 4; worst 0.980 [0.970, 1.001] (mems, 0.2 Hz); oracle 4 of 4 | **no** |"
+        "| 4 of 5; worst 0.980 [0.970, 1.001] (mems, 0.2 Hz); oracle 5 of 5 | **no** |"
     )
     line = line_of(text, "`coloured`: NEES of the velocity, `bands`,")
-    assert line.endswith("| 3 of 4; worst 0.84 (fog, 1 Hz); oracle 3 of 4 | **no** |")
+    assert line.endswith("| 4 of 5; worst 0.84 (fog, 1 Hz); oracle 4 of 5 | **no** |")
 
 
 def test_a_row_that_has_failed_meets_no_target(document: dict) -> None:

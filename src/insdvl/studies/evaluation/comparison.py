@@ -76,6 +76,8 @@ class Plan:
             parts.append(sensors.imu_grade)
         if sensors.dvl_rate != 1.0:
             parts.append(f"{sensors.dvl_rate:g} Hz")
+        if sensors.dvl_std != 0.1:
+            parts.append(f"DVL of {sensors.dvl_std:g} m per s")
         return ", ".join(parts)
 
     @property

@@ -1,7 +1,8 @@
-"""The comparison with other IMUs, other rates of the DVL, and outages of the DVL.
+"""The comparison with other IMUs, other rates and noise of the DVL, and outages of the DVL.
 
-The scenarios are those whose noise is not white. Each grade of IMU meets each rate, and outages at
-1 Hz: of a minute in all scenarios, shorter and longer ones in the one with everything together.
+The scenarios are those whose noise is not white. Each grade of IMU meets each rate, a better DVL at
+1 Hz, and outages at 1 Hz: of a minute in all scenarios, shorter and longer ones in the one with
+everything together.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -30,6 +31,7 @@ from insdvl.studies.report.markdown import interval, number, table
 
 SCENARIOS = ("vibrating", "coloured", "waves", "realistic")
 RATES = (5.0, 1.0, 0.2)  # Hz
+BETTER = 0.02  # m/s, sigma of the better DVL
 #: Lengths of the outages [s], in all scenarios and in the last.
 LENGTH, LENGTHS = 60.0, (30.0, 60.0, 120.0)
 RUNS = 10
@@ -60,6 +62,7 @@ def plans() -> list[Plan]:
     for scenario, grade in product(SCENARIOS, GRADES):
         lengths = LENGTHS if scenario == SCENARIOS[-1] else (LENGTH,)
         vehicles = [Sensors(dvl_rate=rate, imu_grade=grade) for rate in RATES]
+        vehicles.append(Sensors(dvl_std=BETTER, imu_grade=grade))
         vehicles += [Sensors(outage=length, imu_grade=grade) for length in lengths]
         settings = [Setting("calibrated", sensors=sensors) for sensors in vehicles]
         found += [Plan(scenario, setting, RUNS, rows=rows_of(scenario)) for setting in settings]
@@ -89,7 +92,7 @@ def _condensed(document: Mapping[str, Any]) -> dict[str, Any]:
     setting = document["plan"]["setting"]
     return {
         "scenario": document["plan"]["scenario"],
-        **{name: setting[name] for name in ("imu_grade", "dvl_rate", "outage")},
+        **{name: setting[name] for name in ("imu_grade", "dvl_rate", "dvl_std", "outage")},
         "omitted": document["omitted"],
         "paired_runs": document["paired_runs"],
         "best_constant": document["searches"][BEST_CONSTANT]["best"],
@@ -212,14 +215,16 @@ def _lines(comparisons: Sequence[Mapping[str, Any]], columns: Mapping[str, _Cell
 
 
 def name_of(comparison: Mapping[str, Any]) -> str:
-    """Scenario, IMU, and rate or outage of a comparison."""
+    """Scenario, IMU and DVL of a comparison."""
     return f"`{comparison['scenario']}`, {configuration(comparison)}"
 
 
 def configuration(comparison: Mapping[str, Any]) -> str:
-    """IMU, and rate or outage of a comparison."""
-    length, rate = comparison["outage"], comparison["dvl_rate"]
+    """IMU, and rate or outage of the DVL of a comparison, and its noise where it is another."""
+    length, rate, std = (comparison[name] for name in ("outage", "dvl_rate", "dvl_std"))
     dvl = f"{length:g} s" if length else f"{rate:g} Hz"
+    if std != Sensors().dvl_std:
+        dvl += f", {std:g} m/s"
     return f"{comparison['imu_grade']}, {dvl}"
 
 

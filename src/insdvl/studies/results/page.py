@@ -320,10 +320,10 @@ def _breadth(documents: Documents) -> str:
         "Other IMUs, other rates, and outages",
         """
 Does the process noise that was learned from spectra also serve an IMU of another grade, a DVL that
-is faster or slower, and a minute without DVL? Scenarios and rows are those of
+is faster, slower or better, and a minute without DVL? Scenarios and rows are those of
 [spectrum.md](spectrum.md); grades and outages are in
 [effective-noise.md](../explanation/effective-noise.md#8-scenarios). The noise of the DVL is 0.1
-m/s. `bands` was trained on other IMUs, with 1 and 5 Hz, and without outages. Drift is the change
+m/s where nothing else is said. `bands` was trained on other IMUs, with 1 and 5 Hz, and without outages. Drift is the change
 of the position's error in an outage. NEES is 1 for a filter that is right about itself; that of the
 position at the end of an outage has the drift and what was wrong before.
 """,

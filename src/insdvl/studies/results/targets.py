@@ -8,6 +8,7 @@ from insdvl.studies.evaluation.approaches import (
     BANDS,
     BANDS_WITH_FACTOR,
     BEST_CONSTANT,
+    FACTOR_WITH_R,
     ORACLE,
     WITH_R,
 )
@@ -344,13 +345,13 @@ def _of_breadth(scenario: str, row_: str) -> tuple[Target, ...]:
     return (
         _everywhere(
             scenario,
-            f"body velocity, `{row_}` / best constant, at most 1, with all IMUs and rates",
+            f"body velocity, `{row_}` / best constant, at most 1, with all IMUs and DVLs",
             _at_most(row_, BEST_CONSTANT, "body_rmse", 1.0),
             bound=_at_most(ORACLE, BEST_CONSTANT, "body_rmse", 1.0),
         ),
         _everywhere(
             scenario,
-            f"NEES of the velocity, `{row_}`, in [{low:g}, {high:g}], with all IMUs and rates",
+            f"NEES of the velocity, `{row_}`, in [{low:g}, {high:g}], with all IMUs and DVLs",
             _within(row_, "velocity", low, high),
             bound=_within(ORACLE, "velocity", low, high),
         ),
@@ -412,6 +413,7 @@ def _on_each_vehicle(row_: str, words: str) -> Target:
 #: Of the page on vehicles that are not those of the training.
 OF_OTHERS = (
     _on_each_vehicle(BANDS_WITH_FACTOR, f"`{BANDS_WITH_FACTOR}`"),
+    _on_each_vehicle(FACTOR_WITH_R, f"`{FACTOR_WITH_R}`"),
     _on_each_vehicle(BANDS, f"`{BANDS}`"),
     _on_each_vehicle(DEFAULT, "`default`"),
 )
