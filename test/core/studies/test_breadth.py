@@ -17,7 +17,7 @@ from insdvl.studies.results.page import pages
 
 @pytest.fixture(scope="module")
 def document(tmp_path_factory: pytest.TempPathFactory) -> dict:
-    """Three lines of two IMUs, and one of a better DVL, with short missions and a search among two constants."""
+    """Lines of two IMUs and of a better DVL: short missions, and a search among two constants."""
     search, folder = comparison.constants, tmp_path_factory.mktemp("store")
     short = [
         replace(

@@ -203,6 +203,12 @@ CLAIMS: dict[str, Callable[[], Sequence[float]]] = {
     ", and N and N with it, so it misses the target on one vehicle": lambda: ratios(
         "bands with factor", kind(coloured=True)
     ),
+    "at the level of the truth `bands` has N.": lambda: ratios(
+        "bands with true factor", kind(coloured=True)[:1]
+    ),
+    "two vehicles miss the target, with N and N.": lambda: [
+        x for x in ratios("bands with factor and R adaptive", committed()["vehicles"]) if x > 1.03
+    ],
     "`least band` is better where the noise is white, at most N,": lambda: [
         max(ratios("least band", kind(coloured=False)))
     ],
@@ -244,6 +250,9 @@ def test_the_words_of_the_conclusion_hold() -> None:
     assert (len(kind(coloured=False)), len(kind(coloured=True))) == (10, 2)
     text = page_of(committed())
     assert "| 11 of 12; not `vessel, coloured noise` (" in line_of(text, "`bands with factor` / ")
+    assert line_of(text, "`bands with factor and R adaptive` / ").startswith("| body velocity")
+    assert "| 10 of 12; not " in line_of(text, "`bands with factor and R adaptive` / ")
+    assert kind(coloured=True)[0]["vehicle"] == "vessel, coloured noise"
     worse = [one for one in committed()["vehicles"] if ratios("hcf default", [one])[0] > 1.05]
     assert {one["vehicle"] for one in worse} == {
         "AUV, MEMS of 62.5 Hz with low-pass",

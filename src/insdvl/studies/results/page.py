@@ -323,9 +323,10 @@ Does the process noise that was learned from spectra also serve an IMU of anothe
 is faster, slower or better, and a minute without DVL? Scenarios and rows are those of
 [spectrum.md](spectrum.md); grades and outages are in
 [effective-noise.md](../explanation/effective-noise.md#8-scenarios). The noise of the DVL is 0.1
-m/s where nothing else is said. `bands` was trained on other IMUs, with 1 and 5 Hz, and without outages. Drift is the change
-of the position's error in an outage. NEES is 1 for a filter that is right about itself; that of the
-position at the end of an outage has the drift and what was wrong before.
+m/s where nothing else is said. `bands` was trained on other IMUs, with 1 and 5 Hz, and without
+outages. Drift is the change of the position's error in an outage. NEES is 1 for a filter that is
+right about itself; that of the position at the end of an outage has the drift and what was wrong
+before.
 """,
         [
             "## Targets\n\nSet before the measurement. Each has to be met by every line of its "
@@ -367,9 +368,10 @@ The filter and the tuner are those of this project with their defaults, and know
 the sensors; the gate is off. *Oracle* is told the effective variances. `hcf default`, `least band`
 and `bands` are what the tuner tells with the model `default`, with the closed form and with the
 model `bands` ([learned-bands.md](../explanation/learned-bands.md)). `bands with factor` has
-`process_noise.adaptive_factor`. The last row also has `dvl.noise_source: adaptive`; the noise of
-the DVL is that of its data sheet here, so the row shows what it costs to learn R where nothing is
-wrong with it.
+`process_noise.adaptive_factor`. The row after it also has `dvl.noise_source: adaptive`; the noise
+of the DVL is that of its data sheet here, so the row shows what it costs to learn R where nothing
+is wrong with it. `bands with true factor` is told the Q of `bands` times the factor that makes its
+level that of the truth: what a factor can gain.
 """,
             "## Targets\n\n" + targets_table(documents, OF_OTHERS),
             *parts,
