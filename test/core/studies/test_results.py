@@ -1,6 +1,7 @@
 """`insdvl results`: the pages say what their numbers say, and what it refuses."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -8,11 +9,13 @@ import pytest
 from insdvl.cli import main
 from insdvl.jobs.options import Workers
 from insdvl.jobs.pool import open_pool
+from insdvl.simulation.noise import SCENARIOS
 from insdvl.studies.evaluation.approaches import Setting
 from insdvl.studies.evaluation.comparison import Plan, compare
 from insdvl.studies.results.command import PARTS, documents
-from insdvl.studies.results.forest import groups
 from insdvl.studies.results.page import PAGES, pages
+from insdvl.studies.results.pictures.draw import draw
+from insdvl.studies.results.pictures.forests import forests
 from insdvl.studies.results.targets import row
 
 DOCS = Path(__file__).parents[3] / "docs"
@@ -34,7 +37,8 @@ def test_pictures_of_the_pages_are_there() -> None:
         text = (DOCS / "results" / f"{name}.md").read_text()
         pictures = [part.partition(")")[0] for part in text.split("](")[1:] if ".png)" in part]
         assert all((DOCS / "results" / picture).is_file() for picture in pictures)
-        assert pictures or name not in ("calibrated", "published")
+        shown = ("calibrated", "published", "spectrum", "breadth", "other-vehicles", "vehicle")
+        assert pictures or name not in shown
 
 
 def written(folder: Path) -> str:
@@ -46,13 +50,13 @@ def test_pages_without_numbers_say_so(tmp_path: Path) -> None:
     text = written(tmp_path)
     for part in PARTS:
         assert f"Not computed: {part}." in text, part
-    assert (tmp_path / "results" / "forest.png").read_bytes().startswith(b"\x89PNG")
+    assert not list((tmp_path / "results").glob("*.png"))
 
 
 def test_the_picture_has_the_ratios_of_the_tables() -> None:
     """A group for each comparison that has an oracle, whatever rows it has."""
     found = documents(DOCS / "results")
-    drawn = groups(found)
+    drawn = forests(found)["forest"].groups
     learned = row(found["wide-calibrated"], "hcf default")
     assert learned is not None
     ratios = drawn["wide, simulated"]
@@ -62,7 +66,40 @@ def test_the_picture_has_the_ratios_of_the_tables() -> None:
     assert bands is not None
     of_oracle = tuple(bands["ratio_to"]["oracle"]["body_rmse"])
     assert drawn["realistic, simulated"]["bands"] == of_oracle
-    assert not groups({})
+    assert not forests({})
+
+
+NUMBER = r"\d+\.\d+"
+
+
+def test_the_title_of_a_picture_has_its_numbers(tmp_path: Path) -> None:
+    found = documents(DOCS / "results")
+    drawn = forests(found)
+
+    def middles(name: str, row_: str) -> list[float]:
+        return [x[row_][0] for x in drawn[name].groups.values() if row_ in x]
+
+    def percent(ratio: float) -> str:
+        return f"{100.0 * (ratio - 1.0):.1f}"
+
+    spectrum = percent(max(middles("spectrum", "bands")))
+    white = max(
+        drawn["forest"].groups[f"{name}, simulated"]["hcf default"][0] for name in SCENARIOS
+    )
+    assert {name: re.findall(NUMBER, one.title) for name, one in drawn.items()} == {
+        "forest": [percent(white), spectrum],
+        "spectrum": [spectrum],
+        "breadth": [f"{x(middles('breadth', 'bands')):.2f}" for x in (min, max)],
+        "other-vehicles": [
+            percent(max(middles("other-vehicles", row_))) for row_ in ("bands", "bands with factor")
+        ],
+        "vehicle": [
+            f"{drawn['vehicle'].groups['body velocity']['bands with factor'][0]:.3f}",
+            f"{drawn['vehicle'].groups['tilt']['bands with factor'][0]:.2f}",
+        ],
+    }
+    draw(tmp_path / "one.png", drawn["vehicle"])
+    assert (tmp_path / "one.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.fixture(scope="module")

@@ -43,7 +43,6 @@ from insdvl.studies.report.plots import draw_errors_over_time
 from insdvl.studies.results import (
     accuracy,
     breadth,
-    forest,
     page,
     recordings,
     vehicle,
@@ -51,6 +50,8 @@ from insdvl.studies.results import (
     withheld,
 )
 from insdvl.studies.results.others import study as others
+from insdvl.studies.results.pictures.draw import draw
+from insdvl.studies.results.pictures.forests import forests
 from insdvl.tuner.models import load_model
 
 #: Rows of the tables that show what an error state or the gate changes.
@@ -111,7 +112,8 @@ def run(arguments: argparse.Namespace) -> int:
         found = documents(folder)
         for name, text in page.pages(found).items():
             write(folder / f"{name}.md", text.encode())
-        forest.draw(folder / "forest.png", found)
+        for name, forest in forests(found).items():
+            draw(folder / f"{name}.png", forest)
     except TaskError as error:
         print(f"insdvl results: {error}", file=sys.stderr)
         return 1

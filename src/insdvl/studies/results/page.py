@@ -15,6 +15,7 @@ from insdvl.studies.results.accuracy import accuracy_tables
 from insdvl.studies.results.breadth import outages_tables, rates_tables
 from insdvl.studies.results.others.conclusion import conclusion
 from insdvl.studies.results.others.tables import others_tables
+from insdvl.studies.results.pictures.forests import forests
 from insdvl.studies.results.targets import (
     OF_BREADTH,
     OF_OTHERS,
@@ -40,9 +41,14 @@ def pages(documents: Documents) -> dict[str, str]:
         documents: Numbers by part, as in docs/results/.
     """
     provenance = _provenance(documents)
-    return {
-        name: write(documents).strip() + f"\n\n{provenance}\n" for name, write in _PAGES.items()
-    }
+    pictures = forests(documents)
+    found = {}
+    for name, write in _PAGES.items():
+        title, _, text = write(documents).strip().partition("\n\n")
+        if name in pictures:
+            text = f"![{pictures[name].title}]({name}.png)\n\n{text}"
+        found[name] = f"{title}\n\n{text}\n\n{provenance}\n"
+    return found
 
 
 def _provenance(documents: Documents) -> str:

@@ -1,0 +1,1 @@
+"""The pictures of the results: ratios of errors with their intervals."""
