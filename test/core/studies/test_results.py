@@ -32,6 +32,18 @@ def test_the_pages_in_docs_are_those_of_their_numbers() -> None:
         assert (DOCS / "results" / f"{name}.md").read_text() == text, name
 
 
+def test_the_page_of_targets_counts_those_of_the_studies() -> None:
+    text = (DOCS / "results" / "targets.md").read_text()
+    counted = re.findall(r"\| \[([a-z-]+)\]\(\1\.md#targets\) \| (\d+) \| (\d+) \|", text)
+    assert {name for name, _, _ in counted} >= {"spectrum", "breadth", "other-vehicles"}
+    for name, met, measured in counted:
+        page = (DOCS / "results" / f"{name}.md").read_text()
+        table = page.partition("## Targets\n")[2].partition("\n## ")[0]
+        yes, no = table.count("| yes |"), table.count("| **no** |")
+        assert (yes, yes + no) == (int(met), int(measured)), name
+        assert yes + no > 0
+
+
 def test_pictures_of_the_pages_are_there() -> None:
     for name in PAGES:
         text = (DOCS / "results" / f"{name}.md").read_text()

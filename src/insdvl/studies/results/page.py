@@ -70,6 +70,24 @@ def _targets(documents: Documents) -> str:
         "# Targets\n\nThe targets were set before the measurements. A ratio meets its target when "
         "the upper end of its\ninterval does. *Learned* is the model `default`.\n\n"
         + targets_table(documents, TARGETS)
+        + "\n## Targets of the other studies\n\n"
+        + _targets_of_studies(documents)
+    )
+
+
+#: Targets that are on the pages of their studies.
+_OF_STUDIES = {"spectrum": OF_SPECTRUM, "breadth": OF_BREADTH, "other-vehicles": OF_OTHERS}
+
+
+def _targets_of_studies(documents: Documents) -> str:
+    body = []
+    for name, targets in _OF_STUDIES.items():
+        measured = [found for target in targets if (found := target.measured(documents))]
+        met = sum(is_met for _, is_met in measured)
+        body.append([f"[{name}]({name}.md#targets)", str(met), str(len(measured))])
+    return table(["page", "met", "measured"], body) + (
+        "\nWhich of those that are missed no source of Q can meet is told in [what the results "
+        "mean](README.md#noise-that-is-not-white).\n"
     )
 
 

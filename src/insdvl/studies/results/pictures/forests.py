@@ -93,8 +93,8 @@ def overview(documents: Documents) -> Forest | None:
     if white is None or other is None:
         return None
     return Forest(
-        f"In simulation a learned Q is at most {_percent(white)} behind a told one where the noise is "
-        f"white, and {_percent(other)} where it is not",
+        f"In simulation a learned Q is at most {_percent(white)} behind a told one where the noise "
+        f"is white, and {_percent(other)} where it is not",
         _OVER_ORACLE,
         rows,
         groups,
