@@ -258,7 +258,18 @@ def test_nothing_is_learned_of_pings_that_the_gate_refuses(run: Run) -> None:
     fold = bad.fold_received(parameters, stamps_ns, q)
     refused = [u for u in fold.updates if not u.report.accepted]
     assert len(refused) >= off.size - 2
-    assert fold.states["q_factor"]["factor"][-1] == pytest.approx(1.0, abs=0.3)
+    m, times_ns = fold.states["q_factor"], fold.states["nav"]["time_ns"]
+    taught = {u.stamp_ns: np.any(change(m["likelihoods"], times_ns, u.stamp_ns)) for u in refused}
+    assert not any(taught.values())
+    used = [u.stamp_ns for u in fold.updates if u.report.accepted][-20:]
+    assert sum(np.any(change(m["likelihoods"], times_ns, stamp_ns)) for stamp_ns in used) >= 15
+    assert m["factor"][-1] == pytest.approx(1.0, abs=0.3)
+
+
+def change(values: np.ndarray, times_ns: np.ndarray, stamp_ns: int) -> np.ndarray:
+    """From the last state before a stamp to the first one that has it."""
+    after = np.searchsorted(times_ns, stamp_ns)
+    return values[after] - values[after - 1]
 
 
 def test_beside_a_source_that_adapts_it_is_refused() -> None:
@@ -416,14 +427,26 @@ def test_a_new_initial_state_begins_the_bank_and_keeps_the_factor(run: Run) -> N
 
 
 @pytest.mark.long
-def test_what_was_learned_fades_in_a_pause(run: Run) -> None:
+def test_what_was_learned_fades_in_a_pause(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """By the time between the pings that teach, whatever lies between."""
-    before = state_after(events_of(run, 60.0))["q_factor"]
-    after = state_after(events_of(run, 272.0, silent=(60.0, 260.0)))["q_factor"]
-    spread = np.ptp(after["likelihoods"])
-    faded = np.ptp(before["likelihoods"]) * np.exp(-212.0 / bank.MEMORY)
-    assert spread < 0.5 * (np.ptp(before["likelihoods"]) + faded) + 10.0
-    assert after["learned_ns"] > before["learned_ns"] + 200 * NS
+    before, after = {}, {}
+    for memory in (20.0, 1e9):
+        monkeypatch.setattr(bank, "MEMORY", memory)
+        before[memory] = state_after(events_of(run, 60.0))["q_factor"]
+        after[memory] = state_after(events_of(run, 272.0, silent=(60.0, 260.0)))["q_factor"]
+        assert after[memory]["learned_ns"] > before[memory]["learned_ns"] + 200 * NS
+    # The pings behind the pause tell both the same; one knows what was before it as well.
+    known = after[1e9]["likelihoods"] - after[20.0]["likelihoods"]
+    expected = before[1e9]["likelihoods"]
+    spread = np.ptp(expected)
+    assert spread > 20.0
+    np.testing.assert_allclose(known - known.mean(), expected - expected.mean(), atol=0.1 * spread)
+
+
+def test_the_memory_is_a_time_constant() -> None:
+    sums = np.array([-3.0, 0.0, -1.0])
+    np.testing.assert_allclose(bank.learned(sums, np.zeros(3), bank.MEMORY), sums / np.e)
+    np.testing.assert_allclose(bank.learned(sums, -sums, 0.0), 0.0)
 
 
 def test_the_estimates_of_the_levels_move_with_the_filter(run: Run) -> None:
