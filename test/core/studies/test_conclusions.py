@@ -1,4 +1,4 @@
-"""The sentences of docs/results.md and docs/results/README.md, held against the numbers.
+"""The sentences of docs/results.md, held against the numbers.
 
 They are written by hand. Each number in the answers of results.md belongs to a claim here.
 """

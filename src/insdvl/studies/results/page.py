@@ -203,7 +203,8 @@ also learn R ([measurement-noise.md](../explanation/measurement-noise.md)), two 
 for the slow error of the DVL (sigma 0.3 of that of the data sheet, 12 s). The oracle receives the
 effective variances. White noise is what `default` was trained on ([calibrated.md](calibrated.md)).
 `bands` does not take for granted that noise is white: it knows less of white noise than `default`
-does.
+does. What each source costs per second of mission is in
+[learned-bands.md](../explanation/learned-bands.md#6-numbers).
 """,
         [
             "## Targets\n\nSet before the measurement. The upper end of an interval has to meet "
