@@ -20,7 +20,7 @@ from insdvl.studies.replay.inputs.drawn_noise import DrawnNoise
 from insdvl.studies.replay.scores import errors_of
 from insdvl.studies.results import recordings, vehicle, vehicle_runs
 from insdvl.studies.results.recordings import Settings
-from insdvl.studies.results.vehicle_runs import METRICS, Noise, NoisyRun, Shared
+from insdvl.studies.results.vehicle_runs import AS_RECORDED, METRICS, Noise, NoisyRun, Shared
 from insdvl.studies.results.vehicle_tables import vehicle_tables
 from insdvl.tuner.models import load_model
 
@@ -134,7 +134,8 @@ def test_a_recording_as_it_is_has_no_injected_noise_to_be_told(
     arguments = ["replay", str(folder / "c"), "--config", str(config(tmp_path, "constant"))]
     assert cli.main([*arguments, "--json", str(tmp_path / "c.json")]) == 0
     expected = json.loads((tmp_path / "c.json").read_text())
-    assert list(rows["hand-set"]) == [expected[name] for name in METRICS]
+    expected["innovation_autocorrelation"] = expected["innovation_autocorrelation"][0]
+    assert list(rows["hand-set"]) == [expected[name] for name in AS_RECORDED]
 
 
 def test_the_honest_total_is_the_injected_and_the_hand_set_noise(
@@ -264,6 +265,11 @@ def test_the_tables_have_all_rows(document: dict[str, Any]) -> None:
     for row in ("told", "told with hand-set", MODEL, "closed form", "hand-set", "best constant"):
         assert text.count(f"\n| {row} |") >= 2
     assert "| closed form, tilt |" in text
+    clean = document["as_recorded"]["rows"]["closed form"]
+    for metric, name in AS_RECORDED.items():
+        if metric not in vehicle_runs.ERRORS:
+            of_each = " | ".join(f"{clean[metric][recording]:.3f}" for recording in "abc")
+            assert f"\n| closed form, {name} | {of_each} |" in text
 
 
 def test_a_folder_that_cannot_be_used_is_refused(

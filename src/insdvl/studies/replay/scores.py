@@ -87,6 +87,18 @@ def errors_at(at: AtReference, filter_: Filter, updates: Sequence[AppliedUpdate]
     return {name: finite(value) for name, value in result.items()}
 
 
+def innovation_autocorrelation(updates: Sequence[AppliedUpdate]) -> list[float] | None:
+    """Of the normalised innovations of the DVL updates that corrected the state, at lags 1 to LAGS.
+
+    None where there are no more of them than lags.
+    """
+    reports = [u.report for u in updates if u.report.measurement == DVL and u.report.corrected]
+    if len(reports) <= LAGS:
+        return None
+    nu, S = (np.array([getattr(r, name) for r in reports]) for name in ("innovation", "S"))
+    return autocorrelation(normalised_innovations(nu, S), LAGS)
+
+
 def _mean(values: Sequence[float]) -> float | None:
     return float(np.mean(values)) if values else None
 
@@ -120,10 +132,6 @@ def report(replayed: Replayed) -> dict[str, Any]:
     the errors are those of the last part, the counts those of all parts.
     """
     last, filter_ = replayed.last, replayed.fold.filter
-    reports = [u.report for u in replayed.updates if u.report.measurement == DVL]
-    corrected = [report for report in reports if report.corrected]
-    nu = np.array([r.innovation for r in corrected]).reshape(-1, 3)
-    S = np.array([r.S for r in corrected]).reshape(-1, 3, 3)
     document = errors_at(replayed.at_reference, filter_, last.updates)
     start, findings, factor = None, [], None
     if last.known_ns:
@@ -137,9 +145,7 @@ def report(replayed: Replayed) -> dict[str, Any]:
     for name in dict.fromkeys(replayed.measurements.values()):
         document |= _updates_of(name, replayed)
     return document | {
-        "innovation_autocorrelation": (
-            autocorrelation(normalised_innovations(nu, S), LAGS) if len(corrected) > LAGS else None
-        ),
+        "innovation_autocorrelation": innovation_autocorrelation(replayed.updates),
         "process_noise_factor": factor,
         "imu_samples": sum(part.size for part in replayed.parts),
         "first_stamp": begin_ns / NS if last.known_ns else None,

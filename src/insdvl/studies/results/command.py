@@ -171,7 +171,9 @@ def _compute(part: str, arguments: argparse.Namespace, folder: Path, pool: Pool)
         fingerprint_ = recordings.fingerprint(recorded, settings, learned)
         store = Store(work, {"seed": seed, **fingerprint_}, source)
         if part == WITHHELD:
-            document = withheld.study_withheld(recorded, settings, learned, pool=pool, store=store)
+            document = withheld.study_withheld(
+                recorded, settings, learned, seed=seed, pool=pool, store=store
+            )
         else:
             document = vehicle.study_recordings(
                 recorded,

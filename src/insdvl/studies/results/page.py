@@ -16,6 +16,7 @@ from insdvl.studies.results.breadth import outages_tables, rates_tables
 from insdvl.studies.results.others.conclusion import conclusion
 from insdvl.studies.results.others.tables import others_tables
 from insdvl.studies.results.pictures.forests import forests
+from insdvl.studies.results.recorded.targets import OF_VEHICLE, OF_WITHHELD
 from insdvl.studies.results.targets import (
     OF_BREADTH,
     OF_OTHERS,
@@ -76,7 +77,13 @@ def _targets(documents: Documents) -> str:
 
 
 #: Targets that are on the pages of their studies.
-_OF_STUDIES = {"spectrum": OF_SPECTRUM, "breadth": OF_BREADTH, "other-vehicles": OF_OTHERS}
+_OF_STUDIES = {
+    "spectrum": OF_SPECTRUM,
+    "breadth": OF_BREADTH,
+    "other-vehicles": OF_OTHERS,
+    "vehicle": OF_VEHICLE,
+    "withheld": OF_WITHHELD,
+}
 
 
 def _targets_of_studies(documents: Documents) -> str:
@@ -87,7 +94,8 @@ def _targets_of_studies(documents: Documents) -> str:
         body.append([f"[{name}]({name}.md#targets)", str(met), str(len(measured))])
     return table(["page", "met", "measured"], body) + (
         "\nWhich of those that are missed no source of Q can meet is told in [what the results "
-        "mean](README.md#noise-that-is-not-white).\n"
+        "mean](README.md#noise-that-is-not-white),\nof the recordings in its section on the [real "
+        "vehicle](README.md#a-real-vehicle).\n"
     )
 
 
@@ -302,6 +310,14 @@ One model per window length, trained alike. A variance applies until the next on
     )
 
 
+_SET_BEFORE = "## Targets\n\nSet before the measurement."
+_OF_NIS = """A filter that is right about itself has a NIS of 3. All rows have the R
+that was set by hand, four times the variance that the pings show
+([process-noise-factor.md](../explanation/process-noise-factor.md#6-measured)): no source of Q can
+meet the target for the NIS. Beside it is what hand-set noise has.
+"""
+
+
 def _vehicle(documents: Documents) -> str:
     document = documents.get("vehicle")
     return _section(
@@ -315,7 +331,10 @@ by differences, the closed form is not. `sensor` and `published` are white noise
 `coloured` are drawn as in [spectrum.md](spectrum.md), and told by their effective variances;
 vibration is in the samples of the IMU alone, as its velocity is no more than some mm/s.
 """,
-        [vehicle_tables(document) if document else _missing("vehicle")],
+        [
+            f"{_SET_BEFORE} {_OF_NIS}\n{targets_table(documents, OF_VEHICLE)}",
+            vehicle_tables(document) if document else _missing("vehicle"),
+        ],
     )
 
 
@@ -330,7 +349,11 @@ after each window is predicted: error, log likelihood of one ping, and share wit
 the DVL teaches on the other stretches of the voyage; *taught constant* always has the constant. The
 floors of the configuration hold, and in the rows *no floor* they do not.
 """,
-        [withheld_tables(document) if document else _missing("withheld")],
+        [
+            f"{_SET_BEFORE} The worse end of each interval has to meet them.\n\n"
+            + targets_table(documents, OF_WITHHELD),
+            withheld_tables(document) if document else _missing("withheld"),
+        ],
     )
 
 

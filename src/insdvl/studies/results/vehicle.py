@@ -5,7 +5,7 @@ Recordings of one stretch of the voyage depend on each other: they are left out 
 bootstrap draws them together. Without injected noise the question is whether learning does harm.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import product
 from typing import Any
 
@@ -18,6 +18,7 @@ from insdvl.jobs.store import Store
 from insdvl.studies.evaluation import statistics
 from insdvl.studies.results.recordings import Recording, Settings, stretches
 from insdvl.studies.results.vehicle_runs import (
+    AS_RECORDED,
     BEST_CONSTANT,
     ERRORS,
     HAND_SET,
@@ -80,11 +81,16 @@ def study_recordings(
     shared = Shared(settings, dict(zip(names, recordings, strict=True)), models)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_BOOTSTRAP,)))
 
-    def execute(label: str, function: Any, tasks: dict[str, NoisyRun]) -> dict[str, Array]:
+    def execute(
+        label: str,
+        function: Any,
+        tasks: dict[str, NoisyRun],
+        metrics: Collection[str] = METRICS,
+    ) -> dict[str, Array]:
         results = pool.compute(function, tasks, shared, store, f"vehicle {label}")
-        # (recordings, seeds, METRICS) of each row
+        # (recordings, seeds, metrics) of each row
         return {
-            row: np.array([result[row] for result in results]).reshape(len(names), -1, len(METRICS))
+            row: np.array([result[row] for result in results]).reshape(len(names), -1, len(metrics))
             for row in results[0]
         }
 
@@ -136,15 +142,18 @@ def study_recordings(
                 for reference in (TOLD, TOLD_WITH_NOMINAL, BEST_CONSTANT)
             },
         }
-    rows = execute("as recorded", all_rows, {name: NoisyRun(name, None, {}) for name in names})
+    as_they_are = {name: NoisyRun(name, None, {}) for name in names}
+    rows = execute("as recorded", all_rows, as_they_are, AS_RECORDED)
     document["as_recorded"] = {
-        "rows": _summary(rows, names),
+        "rows": _summary(rows, names, AS_RECORDED),
         "ratio_to": {HAND_SET: _ratios(rows, HAND_SET, stretch, rng)},
     }
     return document
 
 
-def _summary(rows: Mapping[str, Array], names: Sequence[str]) -> dict[str, Any]:
+def _summary(
+    rows: Mapping[str, Array], names: Sequence[str], metrics: Collection[str] = METRICS
+) -> dict[str, Any]:
     """Means over the seeds, for each recording and for all."""
     return {
         row: {
@@ -152,7 +161,7 @@ def _summary(rows: Mapping[str, Array], names: Sequence[str]) -> dict[str, Any]:
                 "mean": float(np.mean(values[:, :, m])),
                 **dict(zip(names, np.mean(values[:, :, m], axis=1).tolist(), strict=True)),
             }
-            for m, metric in enumerate(METRICS)
+            for m, metric in enumerate(metrics)
         }
         for row, values in rows.items()
     }

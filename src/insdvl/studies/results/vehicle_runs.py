@@ -12,7 +12,7 @@ rows and the closed form see the samples only; `hand-set` is the configuration a
 """
 
 import zlib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -28,7 +28,7 @@ from insdvl.simulation.sensors.dvl import DvlModel
 from insdvl.studies.evaluation.approaches import BANDS, BANDS_WITH_FACTOR
 from insdvl.studies.replay.inputs.drawn_noise import DrawnNoise
 from insdvl.studies.replay.inputs.injection import Injection, announcements
-from insdvl.studies.replay.scores import errors_of
+from insdvl.studies.replay.scores import errors_of, innovation_autocorrelation
 from insdvl.studies.results.recordings import Recording, Settings, stream_axes
 from insdvl.timeline.output import FoldResult
 from insdvl.timeline.recorded import fold_arrays
@@ -57,6 +57,12 @@ METRICS = {
     "tilt_rmse_deg": "tilt [deg]",
     "nis_mean": "NIS",
     "body_velocity_inside_3_sigma": "inside 3 sigma",
+}
+#: Numbers of the recordings as they are: beside these, how deep the filter is at the end, and
+#: whether its innovations are white.
+AS_RECORDED = METRICS | {
+    "depth_error_end": "depth at the end [m]",
+    "innovation_autocorrelation": "innovations, lag 1",
 }
 #: The errors among them, which have ratios.
 ERRORS = tuple(METRICS)[:5]
@@ -127,14 +133,19 @@ def process_noise(stamps_ns: Stamps, variances: Array) -> list[ProcessNoise]:
     ]
 
 
-def _numbers(recording: Recording, result: FoldResult) -> Array:
-    """The METRICS of a run."""
+def _numbers(recording: Recording, result: FoldResult, metrics: Collection[str] = METRICS) -> Array:
+    """The METRICS of a run, or those AS_RECORDED."""
     errors = errors_of(result, recording.truth_ns, recording.truth)
     if errors["reference_stamps"] < 2:
         raise BagError(
             f"{recording.name}: the filter has a state at fewer than 2 stamps of the reference"
         )
-    return np.array([errors[name] for name in METRICS], dtype=float)
+    if "innovation_autocorrelation" in metrics:
+        correlated = innovation_autocorrelation(result.updates)
+        if correlated is None:
+            raise BagError(f"{recording.name}: too few DVL updates for the autocorrelation")
+        errors["innovation_autocorrelation"] = correlated[0]
+    return np.array([errors[name] for name in metrics], dtype=float)
 
 
 @dataclass(frozen=True)
@@ -191,7 +202,7 @@ def constant_run(shared: Shared, task: NoisyRun) -> dict[str, Array]:
 
 
 def all_rows(shared: Shared, task: NoisyRun) -> dict[str, Array]:
-    """The METRICS of each row."""
+    """The METRICS of each row, or those AS_RECORDED where nothing is injected."""
     settings, recording = shared.settings, shared.recordings[task.recording]
     samples, true = _noisy(recording, task.injection)
     received = learned(shared, recording, samples)
@@ -199,6 +210,7 @@ def all_rows(shared: Shared, task: NoisyRun) -> dict[str, Array]:
         stamps_ns, q = true
         received |= {TOLD: true, TOLD_WITH_NOMINAL: (stamps_ns, q + settings.nominal)}
     constants = {HAND_SET: None, **task.constants}
+    metrics = AS_RECORDED if true is None else METRICS
     rows = {}
     # Without injected noise the gate has nothing to reject.
     gates = {False: ""} if true is None else {False: "", True: GATE_ON}
@@ -212,7 +224,7 @@ def all_rows(shared: Shared, task: NoisyRun) -> dict[str, Array]:
         filters += [(row, settings.constant(q, gate=gate), None) for row, q in constants.items()]
         for row, parameters, process_noise in filters:
             result = filtered(settings, recording, samples, parameters, process_noise)
-            rows[row + suffix] = _numbers(recording, result)
+            rows[row + suffix] = _numbers(recording, result, metrics)
     return rows
 
 

@@ -4,7 +4,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from insdvl.studies.report.markdown import interval, number, table
-from insdvl.studies.results.vehicle_runs import ERRORS, HAND_SET, METRICS
+from insdvl.studies.results.vehicle_runs import AS_RECORDED, ERRORS, HAND_SET, METRICS
+
+#: Numbers of the recordings as they are that have no ratio.
+_CONSISTENCY = tuple(name for name in AS_RECORDED if name not in ERRORS)
 
 
 def vehicle_tables(document: Mapping[str, Any]) -> str:
@@ -60,6 +63,20 @@ def vehicle_tables(document: Mapping[str, Any]) -> str:
                 ]
                 for row in ratios
                 for metric in ERRORS
+            ],
+        )
+    )
+    parts.append("Consistency as recorded.\n")
+    parts.append(
+        table(
+            ["row", *names],
+            [
+                [
+                    f"{row}, {AS_RECORDED[metric]}",
+                    *(number(numbers[metric][name], 3) for name in names),
+                ]
+                for row, numbers in clean["rows"].items()
+                for metric in _CONSISTENCY
             ],
         )
     )

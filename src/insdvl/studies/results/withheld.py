@@ -20,11 +20,13 @@ from insdvl.jobs.store import Store
 from insdvl.jobs.tasks import Result
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
+from insdvl.studies.evaluation import statistics
 from insdvl.studies.evaluation.approaches import BANDS_WITH_FACTOR
 from insdvl.studies.judgement.withheld import WINDOWS, predictions
 from insdvl.studies.replay.scores import errors_of
 from insdvl.studies.replay.taken import Taken
 from insdvl.studies.report.markdown import number, table
+from insdvl.studies.results.recorded.predictions import against_hand_set, predictions_table
 from insdvl.studies.results.recordings import Recording, Settings, stream_axes, stretches
 from insdvl.studies.results.vehicle_runs import HAND_SET, Received, filtered, process_noise
 from insdvl.studies.teaching.lesson import lesson_of
@@ -45,6 +47,7 @@ FREE = ", no floor"
 _ALSO_FREE = (TAUGHT, TAUGHT_CONSTANT, BANDS_WITH_FACTOR)
 #: The floors [(m/s^2)^2, (rad/s)^2] in their place.
 _NO_FLOOR = 1e-12, 1e-15
+_BOOTSTRAP = 2007  # key of the random stream
 _LIMITS = " limits"  # of a row's array
 
 #: Numbers of a row: of windows of each length, then those against the reference.
@@ -73,6 +76,7 @@ def study_withheld(
     settings: Settings,
     models: Mapping[str, Model],
     *,
+    seed: int,
     pool: Pool,
     store: Store | None = None,
 ) -> dict[str, Any]:
@@ -82,6 +86,7 @@ def study_withheld(
         recordings: See `recordings.load_all`.
         settings: Of the configuration.
         models: Models of the learned rows, by row.
+        seed: Random seed, of the bootstrap.
         pool: Computes the recordings.
         store: Keeps those that are finished.
     """
@@ -106,21 +111,30 @@ def study_withheld(
         store,
         "recordings",
     )
+    rows = {
+        row: {
+            name: dict(zip(COLUMNS, [float(v) for v in found[row]], strict=True))
+            for name, found in zip(names, scored, strict=True)
+        }
+        for row in scored[0]
+    }
     return {
         "recordings": names,
         "stretches": parts.tolist(),
+        "seed": seed,
         "taught": {
             name: ANSWERS[int(answers[int(part)]["answer"])]
             for name, part in zip(names, parts, strict=True)
         },
-        "rows": {
-            row: {
-                name: dict(zip(COLUMNS, [float(v) for v in rows[row]], strict=True))
-                for name, rows in zip(names, scored, strict=True)
-            }
-            for row in scored[0]
-        },
+        "rows": rows,
+        "against_hand_set": against_hand_set(rows, _draws(parts, seed)),
     }
+
+
+def _draws(parts: NDArray[np.int64], seed: int) -> statistics.Draws:
+    """Weights of the recordings; those of one stretch depend on each other."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_BOOTSTRAP,)))
+    return statistics.resamples(parts, rng)
 
 
 def taught_without(
@@ -243,6 +257,9 @@ def withheld_tables(document: Mapping[str, Any]) -> str:
         [
             "Predictions of the first ping after windows without the DVL.\n",
             table(["row", *header], lines),
+            "Against hand-set noise, over the same pings: ratio of the RMS errors, and difference "
+            "of the mean log likelihood.\n",
+            predictions_table(document["against_hand_set"]),
             "Errors against the recorded reference.\n",
             table(["row", "body velocity [m/s]", "horizontal position [m]", "tilt [deg]"], against),
             f"What the other stretches taught: {answers}.",

@@ -1,0 +1,1 @@
+"""What the studies on recordings are held against: hand-set noise and targets."""
