@@ -13,7 +13,7 @@ rows and the closed form see the samples only; `hand-set` is the configuration a
 
 import zlib
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -25,7 +25,7 @@ from insdvl.navigation.parameters import FilterParameters
 from insdvl.recordings.base import BagError
 from insdvl.simulation.drawn.scenarios import COLOURED, DRAWN, GYROSCOPE, WHITE
 from insdvl.simulation.sensors.dvl import DvlModel
-from insdvl.studies.evaluation.approaches import BANDS, BANDS_WITH_FACTOR
+from insdvl.studies.evaluation.approaches import BANDS, BANDS_WITH_FACTOR, FACTOR_WITH_R
 from insdvl.studies.replay.inputs.drawn_noise import DrawnNoise
 from insdvl.studies.replay.inputs.injection import Injection, announcements
 from insdvl.studies.replay.scores import errors_of, innovation_autocorrelation
@@ -221,6 +221,9 @@ def all_rows(shared: Shared, task: NoisyRun) -> dict[str, Array]:
         if BANDS in received:
             with_factor = settings.external(gate=gate, factor=True)
             filters.append((BANDS_WITH_FACTOR, with_factor, received[BANDS]))
+            if true is None:  # what is injected is no noise of the DVL
+                dvl = replace(with_factor.dvl, noise_source="adaptive")
+                filters.append((FACTOR_WITH_R, replace(with_factor, dvl=dvl), received[BANDS]))
         filters += [(row, settings.constant(q, gate=gate), None) for row, q in constants.items()]
         for row, parameters, process_noise in filters:
             result = filtered(settings, recording, samples, parameters, process_noise)

@@ -3,14 +3,14 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from insdvl.studies.evaluation.approaches import BANDS, BANDS_WITH_FACTOR
+from insdvl.studies.evaluation.approaches import BANDS, BANDS_WITH_FACTOR, FACTOR_WITH_R
 from insdvl.studies.judgement.withheld import WINDOWS
 from insdvl.studies.report.markdown import interval, number
 from insdvl.studies.results.targets import Documents, Target, drawn, harmless
 from insdvl.studies.results.vehicle_runs import HAND_SET, TOLD
 from insdvl.studies.results.withheld import FREE, TAUGHT, TAUGHT_CONSTANT
 
-_AS_THEY_ARE = "recordings as they are"
+_CLEAN = "recordings as they are"
 #: Rows that learn from the samples or from the DVL, of the study without a reference.
 PREDICTING = (
     BANDS,
@@ -37,7 +37,7 @@ def _depth(row: str, limit: float) -> Target:
         return f"largest {further[worst]:+.3f} m ({worst})", further[worst] <= limit
 
     return Target(
-        f"{_AS_THEY_ARE}: depth at the end, `{row}`, at most {limit:g} m further off than "
+        f"{_CLEAN}: depth at the end, `{row}`, at most {limit:g} m further off than "
         f"{HAND_SET} on each",
         measured,
     )
@@ -55,7 +55,7 @@ def _within(row: str, metric: str, words: str, low: float, high: float) -> Targe
         return text, low <= least and most <= high
 
     limits = f"at least {low:g}" if high == 1.0 else f"in [{low:g}, {high:g}]"
-    return Target(f"{_AS_THEY_ARE}: {words}, `{row}`, {limits} on each", measured)
+    return Target(f"{_CLEAN}: {words}, `{row}`, {limits} on each", measured)
 
 
 def _ends(found: Mapping[str, float]) -> tuple[float, float]:
@@ -81,7 +81,7 @@ def _to_told(name: str, row: str) -> Target:
     )
 
 
-def _of_row(row: str) -> tuple[Target, ...]:
+def _as_they_are(row: str) -> tuple[Target, ...]:
     called = f"`{row}`"
     return (
         harmless("body_velocity_rmse", "body velocity", row, called, (1.01, 1.03)),
@@ -97,13 +97,21 @@ def _of_row(row: str) -> tuple[Target, ...]:
             0.2,
         ),
         _within(row, "body_velocity_inside_3_sigma", "velocity inside 3 sigma", 0.98, 1.0),
+    )
+
+
+def _with_noise(row: str) -> tuple[Target, ...]:
+    return (
         *(_to_told(name, row) for name in ("sensor", "published")),
         *(drawn(name, row) for name in ("vibrating", "coloured")),
     )
 
 
-#: Of the page on recordings.
-OF_VEHICLE = tuple(target for row in (BANDS, BANDS_WITH_FACTOR) for target in _of_row(row))
+#: Of the page on recordings. What is injected is no noise of the DVL.
+OF_VEHICLE = (
+    *(target for row in (BANDS, BANDS_WITH_FACTOR, FACTOR_WITH_R) for target in _as_they_are(row)),
+    *(target for row in (BANDS, BANDS_WITH_FACTOR) for target in _with_noise(row)),
+)
 
 
 def _compared(documents: Documents, row: str, name: str) -> list[Sequence[float]] | None:
