@@ -13,6 +13,8 @@ from insdvl.studies.evaluation.tables import comparison_tables
 from insdvl.studies.report.markdown import interval, number, table
 from insdvl.studies.results.accuracy import accuracy_tables
 from insdvl.studies.results.breadth import outages_tables, rates_tables
+from insdvl.studies.results.dvl_noise import tables as dvl_noise
+from insdvl.studies.results.dvl_noise import text as dvl_noise_text
 from insdvl.studies.results.others.conclusion import conclusion
 from insdvl.studies.results.others.tables import others_tables
 from insdvl.studies.results.pictures.forests import forests
@@ -427,6 +429,23 @@ level that of the truth: what a factor can gain.
     )
 
 
+def _dvl_noise(documents: Documents) -> str:
+    document, parts, concluded = documents.get("dvl-noise"), [_missing("dvl-noise")], []
+    if document:
+        targets = (
+            "## Targets\n\nSet before the measurement. The upper end of an interval has to meet "
+            "them. The last column has what\nthe oracle has, without a verdict.\n\n"
+            f"{dvl_noise.targets_table(document)}"
+        )
+        parts = [targets, dvl_noise.noise_tables(document)]
+        concluded = dvl_noise_text.conclusion(document)
+    return _section(
+        "Learned noise of the DVL",
+        dvl_noise_text.QUESTION,
+        [*concluded, dvl_noise_text.DEFINITIONS, *parts],
+    )
+
+
 #: The pages, by name.
 _PAGES: Mapping[str, Callable[[Documents], str]] = {
     "targets": _targets,
@@ -435,6 +454,7 @@ _PAGES: Mapping[str, Callable[[Documents], str]] = {
     "spectrum": _spectrum,
     "breadth": _breadth,
     "other-vehicles": _other_vehicles,
+    "dvl-noise": _dvl_noise,
     "published": _published,
     "error-state-and-gate": _error_state_and_gate,
     "window": _window,
