@@ -24,11 +24,12 @@ that the tuner publishes is in the place of the own window's. *With factor* has
 of each ping.
 
 All rows are told the true Q, or a hundredth of it, or a hundred times as much. With *outliers* one
-ping in twenty is off by 1 m/s in a random direction, and nobody is told which. The oracle loses the
-same pings to its gate. So a ratio to the oracle with the same outliers has what it costs to learn
-R; a ratio to the own row with the gate off has what the pings cost that are lost. All conditions of
-a vehicle have the same missions and the same noise: ratios of two conditions are paired by mission
-as well.
+ping in twenty is off by 1 m/s in a random direction, and no row is told which. The target for them
+is 1.05 of the run without those pings, and two ratios judge it. The oracle loses the same pings to
+its gate: the ratio to the oracle with the same outliers shows what it costs to learn R. The ratio
+to the same row with the gate off, without outliers, also shows what the lost pings cost. All
+conditions of a vehicle have the same missions and the same noise, so ratios of two conditions are
+paired by mission as well.
 """
 
 #: Seed and number of missions of the numbers that the text was written for.
