@@ -14,7 +14,8 @@ from insdvl.jobs.options import Workers
 from insdvl.jobs.pool import open_pool
 from insdvl.studies.evaluation import statistics
 from insdvl.studies.evaluation.missions import TEST, Study, initial_of_run, mission_of_run
-from insdvl.studies.results.dvl_noise import study, tables
+from insdvl.studies.results.dvl_noise import study
+from insdvl.studies.results.dvl_noise.targets import LIMITS, Limit
 from insdvl.studies.results.page import pages
 
 RUNS, SEED = 2, 4
@@ -177,27 +178,40 @@ def line_of(text: str, *words: str) -> list[str]:
     return line.strip("| ").split(" | ")
 
 
-@pytest.mark.parametrize("target", tables.TARGETS)
-def test_a_target_is_judged_by_its_own_ratio_at_the_upper_end(target: tables.Target) -> None:
-    where = target.scenario, target.condition, "R adaptive", target.reference
+def name_of(limit: Limit, row: str) -> str:
+    reference = "itself with gate off" if limit.reference == "gate off" else f"`{limit.reference}`"
+    where = f"`{limit.scenario}`, {limit.condition}"
+    return f"{where}: `{row}` over {reference}, at most {limit.limit:.2f}"
 
-    def judged(upper_end: float) -> str:
-        ratios = {where: [1.0, 0.9, upper_end]}
-        return page_of(made(lambda *key: ratios.get(key, [9.0, 9.0, 9.0])))
 
-    assert judged(target.limit + 0.001).count("**no**") == 3 * len(tables.TARGETS)
-    text = judged(target.limit)
-    assert text.count("**no**") == 3 * len(tables.TARGETS) - 1
-    (line,) = [x for x in text.splitlines() if f"1.000 [0.900, {target.limit:.3f}]: yes" in x]
-    cells = line.strip("| ").split(" | ")
-    assert cells[0].startswith(f"`{target.scenario}`, {target.condition}: over ")
-    assert cells[0].endswith(f", at most {target.limit:.2f}")
-    assert target.reference in cells[0]
-    assert cells[2].endswith(": yes")
+@pytest.mark.parametrize("row", ["R learned", "R adaptive", "R adaptive with factor"])
+def test_a_target_is_judged_by_its_own_ratio_at_the_upper_end(row: str) -> None:
+    """All others miss theirs."""
+    for limit in LIMITS:
+
+        def judged(upper_end: float, limit: Limit = limit) -> tuple[list[str], int]:
+            where = limit.scenario, limit.condition, row, limit.reference
+            ratios = {where: [1.0, 0.9, upper_end]}
+            text = page_of(made(lambda *key: ratios.get(key, [9.0, 9.0, 9.0])))
+            return line_of(text, name_of(limit, row)), text.count("| **no** |")
+
+        cells, misses = judged(limit.limit)
+        assert cells[1].startswith(f"1.000 [0.900, {limit.limit:.3f}]")
+        assert cells[2] == "yes" and misses == 3 * len(LIMITS) - 1
+        cells, misses = judged(limit.limit + 0.001)
+        assert cells[2] == "**no**" and misses == 3 * len(LIMITS)
+
+
+def test_the_ratio_of_the_oracle_stands_beside() -> None:
+    found = made(lambda *key: [3.0, 2.0, 4.0] if key[2] == "R oracle" else [1.0, 1.0, 1.0])
+    for limit in LIMITS:
+        (_, measured, met) = line_of(page_of(found), name_of(limit, "R adaptive"))
+        assert met == "yes"
+        assert ("(oracle 3.000 [2.000, 4.000])" in measured) == (limit.reference != "R oracle")
 
 
 def test_the_targets_are_those_that_were_set() -> None:
-    limits = {(t.scenario, t.condition, t.reference): t.limit for t in tables.TARGETS}
+    limits = {(one.scenario, one.condition, one.reference): one.limit for one in LIMITS}
     assert limits.pop(("bottom-tactical", "gate off", "R oracle")) == 1.03
     assert limits.pop(("bottom-fog", "gate off", "R oracle")) == 1.10
     for scenario in ("bottom-tactical", "bottom-fog"):
@@ -212,14 +226,15 @@ def test_the_targets_are_those_that_were_set() -> None:
 def test_what_has_failed_meets_no_target() -> None:
     found = made(lambda *_: [1.0, 1.0, 1.0])
     assert "**no**" not in page_of(found)
-    row = tables.row_of(found, *PAIRED, "R adaptive")
-    assert row is not None
-    row |= {"failures": 1, "ratio_to": dict.fromkeys(row["ratio_to"])}  # type: ignore[operator]
-    found["comparisons"][5]["paired_runs"] = 1
-    json.dumps(found, allow_nan=False)
+    (plain,) = [
+        one for one in found["comparisons"] if (one["scenario"], one["condition"]) == PAIRED
+    ]
+    plain["paired_runs"] = 1
+    (row,) = [row for row in plain["rows"] if row["approach"] == "R adaptive"]
+    row |= {"failures": 1, "ratio_to": dict.fromkeys(row["ratio_to"])}
     text = page_of(found)
-    line = line_of(text, "`bottom-fog`, gate off: over `R oracle`")
-    assert line[1:4] == ["1.000 [1.000, 1.000]: yes", "–: **no**", "1.000 [1.000, 1.000]: yes"]
+    assert line_of(text, "`bottom-fog`, gate off: `R adaptive` over")[1:] == ["–", "**no**"]
+    assert text.count("| **no** |") == 1
     assert "| 0.0200 (failed in 1) |" in text
     assert "`bottom-fog`, gate off: 1 missions in which no row failed." in text
 
