@@ -236,7 +236,7 @@ def test_what_has_failed_meets_no_target() -> None:
     assert line_of(text, "`bottom-fog`, gate off: `R adaptive` over")[1:] == ["–", "**no**"]
     assert text.count("| **no** |") == 1
     assert "| 0.0200 (failed in 1) |" in text
-    assert "`bottom-fog`, gate off: 1 missions in which no row failed." in text
+    assert "`bottom-fog`, gate off: no row failed in 1 of 2 missions." in text
 
 
 def test_the_page_has_the_numbers_of_the_document(document: dict[str, Any]) -> None:

@@ -38,9 +38,9 @@ def noise_tables(document: Mapping[str, Any]) -> str:
     for scenario, rate in RATES.items():
         parts += [
             f"## `{scenario}`, {rate:g} Hz\n",
-            "RMSE of the body velocity [m/s].\n",
+            "RMSE of the body velocity [m/s] in the missions in which no row failed.\n",
             _lines(document, scenario, _error),
-            f"Over that of `{R_ORACLE}`.\n",
+            f"Over that of `{R_ORACLE}` in all missions; a dash where one of the two failed.\n",
             _lines(document, scenario, _to(R_ORACLE), without=(R_ORACLE,)),
             f"Over that of `{R_NOMINAL}`.\n",
             _lines(document, scenario, _to(R_NOMINAL), without=(R_NOMINAL,)),
@@ -51,8 +51,8 @@ def noise_tables(document: Mapping[str, Any]) -> str:
             _lines(document, scenario, lambda row: number(row["nees_velocity"], 2)),
         ]
     lines = [
-        f"`{one['scenario']}`, {one['condition']}: {one['paired_runs']} missions in which no row "
-        "failed."
+        f"`{one['scenario']}`, {one['condition']}: no row failed in {one['paired_runs']} of "
+        f"{document['runs']} missions."
         for one in document["comparisons"]
         if one["paired_runs"] < document["runs"]
     ]

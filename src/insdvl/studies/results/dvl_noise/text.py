@@ -21,7 +21,7 @@ An AUV has an IMU with constant white noise: of a tactical grade, with a DVL of 
 that the tuner publishes is in the place of the own window's. *With factor* has
 `process_noise.adaptive_factor`
 ([process-noise-factor.md](../explanation/process-noise-factor.md)). `R oracle` is told the variance
-of each ping.
+of each ping. A row fails in a mission where its body velocity is off by more than 5 m/s for 10 s.
 
 All rows are told the true Q, or a hundredth of it, or a hundred times as much. With *outliers* one
 ping in twenty is off by 1 m/s in a random direction, and no row is told which. The target for them
