@@ -31,6 +31,7 @@ PARTS = (
     "wide-spectrum",
     "breadth",
     "other-vehicles",
+    "dvl-noise",
     "window",
     VEHICLE,
     WITHHELD,

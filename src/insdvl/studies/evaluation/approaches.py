@@ -118,6 +118,8 @@ ROWS = (
 #: for those whose Q and R are both learned. Of these, two have states for the DVL's slow error, and
 #: two the factor.
 R_NOMINAL, R_ORACLE = "R nominal", "R oracle"
+R_LEARNED, R_ADAPTIVE = "R learned", "R adaptive"
+R_LEARNED_RECEIVED, R_ADAPTIVE_RECEIVED = "R learned received", "R adaptive received"
 BANDS_WITH_R = "bands with R adaptive"
 BANDS_WITH_ERROR = "bands with R adaptive and DVL error"
 #: Two whose filters learn a factor on the Q that they are told.
@@ -128,17 +130,17 @@ FACTOR_WITH_ERROR = "bands with factor and R adaptive and DVL error"
 WITH_R = (BANDS_WITH_R, BANDS_WITH_ERROR, FACTOR_WITH_R, FACTOR_WITH_ERROR)
 R_SOURCES = {
     R_NOMINAL: "nominal",
-    "R adaptive": "adaptive",
-    "R learned": "learned",
-    "R adaptive received": "adaptive",
-    "R learned received": "learned",
+    R_ADAPTIVE: "adaptive",
+    R_LEARNED: "learned",
+    R_ADAPTIVE_RECEIVED: "adaptive",
+    R_LEARNED_RECEIVED: "learned",
     R_ORACLE: "nominal",
     R_NOMINAL_WITH_FACTOR: "nominal",
     R_ADAPTIVE_WITH_FACTOR: "adaptive",
     **dict.fromkeys(WITH_R, "adaptive"),
 }
 #: Those of them that also receive what the tuner learns from the pings.
-R_RECEIVED = ("R adaptive received", "R learned received")
+R_RECEIVED = (R_ADAPTIVE_RECEIVED, R_LEARNED_RECEIVED)
 #: Those of them with the factor.
 _FACTORED = (R_NOMINAL_WITH_FACTOR, R_ADAPTIVE_WITH_FACTOR, FACTOR_WITH_R, FACTOR_WITH_ERROR)
 #: Slow error of the DVL that the rows with states for it are told: sigma over that of the data

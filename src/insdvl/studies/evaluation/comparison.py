@@ -78,13 +78,21 @@ class Plan:
             parts.append(f"{sensors.dvl_rate:g} Hz")
         if sensors.dvl_std != 0.1:
             parts.append(f"DVL of {sensors.dvl_std:g} m per s")
+        if sensors.outliers:
+            parts.append(f"outliers {sensors.outliers:g}")
         return ", ".join(parts)
 
     @property
     def label(self) -> str:
-        """The vehicle, and its outages."""
-        outage = self.setting.sensors.outage
-        return f"{self.vehicle}, outages of {outage:g} s" if outage else self.vehicle
+        """The vehicle, its outages, and what of the filters differs from most tables."""
+        setting, parts = self.setting, [self.vehicle]
+        if setting.sensors.outage:
+            parts.append(f"outages of {setting.sensors.outage:g} s")
+        if setting.gate:
+            parts.append("gate")
+        if setting.q_factor != 1.0:
+            parts.append(f"{setting.q_factor:g} Q")
+        return ", ".join(parts)
 
     def document(self) -> dict[str, Any]:
         """The plan as JSON, where the sensors are among the other settings."""

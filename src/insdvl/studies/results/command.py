@@ -49,6 +49,7 @@ from insdvl.studies.results import (
     window,
     withheld,
 )
+from insdvl.studies.results.dvl_noise import study as dvl_noise
 from insdvl.studies.results.others import study as others
 from insdvl.studies.results.pictures.draw import draw
 from insdvl.studies.results.pictures.forests import forests
@@ -90,8 +91,8 @@ PLANS: Mapping[str, Plan] = {
 #: Rows with a model of the studies on recordings.
 _ON_RECORDINGS = ("hcf paper", "hcf default", BANDS)
 ACCURACY, WINDOW, VEHICLE, WITHHELD = "q-accuracy", "window", "vehicle", "withheld"
-BREADTH, OTHER_VEHICLES = "breadth", "other-vehicles"
-PARTS = (ACCURACY, *PLANS, BREADTH, OTHER_VEHICLES, WINDOW, VEHICLE, WITHHELD)
+BREADTH, OTHER_VEHICLES, DVL_NOISE = "breadth", "other-vehicles", "dvl-noise"
+PARTS = (ACCURACY, *PLANS, BREADTH, OTHER_VEHICLES, DVL_NOISE, WINDOW, VEHICLE, WITHHELD)
 _OF_RECORDINGS = (VEHICLE, WITHHELD)
 _WINDOW_RUNS = 10
 _RECORDING_RUNS, _RECORDING_TUNING_RUNS = 10, 3  # for each recording and injection
@@ -163,6 +164,11 @@ def _compute(part: str, arguments: argparse.Namespace, folder: Path, pool: Pool)
         runs_, source = arguments.runs or others.RUNS, Path(others.__file__)
         store = Store(work, {"runs": runs_, "seed": seed, "models": models}, source)
         document = others.study_others(runs_, seed, pool, store)
+    elif part == DVL_NOISE:
+        planned = dvl_noise.plans(arguments.runs or dvl_noise.RUNS, seed)
+        source = Path(dvl_noise.__file__)
+        store = Store(work, {"plans": [plan.document() for plan in planned.values()]}, source)
+        document = dvl_noise.study_dvl_noise(planned, pool, store)
     elif part in _OF_RECORDINGS:
         settings = recordings.Settings.load(arguments.config)
         recorded = recordings.load_all(arguments.recordings, settings)

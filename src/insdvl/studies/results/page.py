@@ -13,8 +13,12 @@ from insdvl.studies.evaluation.tables import comparison_tables
 from insdvl.studies.report.markdown import interval, number, table
 from insdvl.studies.results.accuracy import accuracy_tables
 from insdvl.studies.results.breadth import outages_tables, rates_tables
+from insdvl.studies.results.dvl_noise import text as dvl_noise
+from insdvl.studies.results.dvl_noise.tables import noise_tables
+from insdvl.studies.results.dvl_noise.targets import OF_DVL_NOISE
 from insdvl.studies.results.others.conclusion import conclusion
 from insdvl.studies.results.others.tables import others_tables
+from insdvl.studies.results.over_matched import over_matched
 from insdvl.studies.results.pictures.forests import forests
 from insdvl.studies.results.recorded.targets import OF_VEHICLE, OF_WITHHELD
 from insdvl.studies.results.targets import (
@@ -81,6 +85,7 @@ _OF_STUDIES = {
     "spectrum": OF_SPECTRUM,
     "breadth": OF_BREADTH,
     "other-vehicles": OF_OTHERS,
+    "dvl-noise": OF_DVL_NOISE,
     "vehicle": OF_VEHICLE,
     "withheld": OF_WITHHELD,
 }
@@ -217,37 +222,10 @@ does. What each source costs per second of mission is in
         [
             "## Targets\n\nSet before the measurement. The upper end of an interval has to meet "
             "them.\n\n" + targets_table(documents, OF_SPECTRUM),
-            *_over_matched(documents),
+            *over_matched(documents, SPECTRUM),
             *(_comparison(documents, f"{name}-spectrum", f"`{name}`") for name in SPECTRUM),
         ],
     )
-
-
-def _over_matched(documents: Documents) -> list[str]:
-    """How far the white oracle is from the filter that has the true shaping states."""
-    body = []
-    for scenario in SPECTRUM:
-        document = documents.get(f"{scenario}-spectrum", {"rows": []})
-        oracle, matched = (row(document, name) for name in ("oracle", "matched"))
-        if oracle is None or matched is None:
-            continue
-        ratio = oracle["ratio_to"]["matched"]
-        nees = (number(r["nees_per_dof"]["velocity"], 3) for r in (oracle, matched))
-        cells = (interval(ratio[metric], 4) for metric in ("body_rmse", "srmse"))
-        body.append([f"`{scenario}`", *cells, *nees])
-    if not body:
-        return []
-    head = ["scenario", "body velocity", "SRMSE", "NEES velocity: oracle", "matched"]
-    return [_OVER_MATCHED + table(head, body)]
-
-
-_OVER_MATCHED = """## White oracle over matched
-
-`matched` is the filter that has the true shaping states of the simulated noise
-([effective-noise.md](../explanation/effective-noise.md#9-the-lower-bound)). The ratio of
-the oracle's error to its error is what white densities cost.
-
-"""
 
 
 def _published(documents: Documents) -> str:
@@ -427,6 +405,21 @@ level that of the truth: what a factor can gain.
     )
 
 
+def _dvl_noise(documents: Documents) -> str:
+    document = documents.get("dvl-noise")
+    return _section(
+        "Learned noise of the DVL",
+        dvl_noise.QUESTION,
+        [
+            *(dvl_noise.conclusion(document) if document else []),
+            dvl_noise.DEFINITIONS,
+            f"{_SET_BEFORE} The upper end of an interval has to meet them.\n\n"
+            + targets_table(documents, OF_DVL_NOISE),
+            noise_tables(document) if document else _missing("dvl-noise"),
+        ],
+    )
+
+
 #: The pages, by name.
 _PAGES: Mapping[str, Callable[[Documents], str]] = {
     "targets": _targets,
@@ -435,6 +428,7 @@ _PAGES: Mapping[str, Callable[[Documents], str]] = {
     "spectrum": _spectrum,
     "breadth": _breadth,
     "other-vehicles": _other_vehicles,
+    "dvl-noise": _dvl_noise,
     "published": _published,
     "error-state-and-gate": _error_state_and_gate,
     "window": _window,

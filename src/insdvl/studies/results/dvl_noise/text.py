@@ -1,0 +1,46 @@
+"""The text of the page, and what follows from the committed numbers, written by hand."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from insdvl.studies.results.dvl_noise.study import RUNS
+
+QUESTION = """
+How near does a filter that learns the noise of its DVL come to one that is told it? And does it
+still learn where something else is wrong too: pings that are off, or the process noise?
+"""
+
+DEFINITIONS = """
+An AUV has an IMU with constant white noise: of a tactical grade, with a DVL of 5 Hz, in
+`bottom-tactical`, and a FOG, with a DVL of 1 Hz, in `bottom-fog`
+([effective-noise.md](../explanation/effective-noise.md#8-scenarios)). The sigma of the DVL is
+50 mm/s on its data sheet; the true one is 7 to 200 mm/s, new every 15 to 45 s.
+
+`R nominal` has the R of the data sheet, `R learned` and `R adaptive` have that source of R
+([measurement-noise.md](../explanation/measurement-noise.md)). In the rows *received* the factor
+that the tuner publishes is in the place of the own window's. *With factor* has
+`process_noise.adaptive_factor`
+([process-noise-factor.md](../explanation/process-noise-factor.md)). `R oracle` is told the variance
+of each ping. A row fails in a mission where its body velocity is off by more than 5 m/s for 10 s.
+
+All rows are told the true Q, or a hundredth of it, or a hundred times as much. With *outliers* one
+ping in twenty is off by 1 m/s in a random direction, and no row is told which. The target for them
+is 1.05 of the run without those pings, and two ratios judge it. The oracle loses the same pings to
+its gate: the ratio to the oracle with the same outliers shows what it costs to learn R. The ratio
+to the same row with the gate off, without outliers, also shows what the lost pings cost. All
+conditions of a vehicle have the same missions and the same noise, so ratios of two conditions are
+paired by mission as well.
+"""
+
+#: Seed and number of missions of the numbers that the text was written for.
+_WRITTEN_FOR = 1, RUNS
+
+#: A test holds each number of it against the committed JSON file.
+CONCLUSION = """
+"""
+
+
+def conclusion(document: Mapping[str, Any]) -> list[str]:
+    """The text, as a part of a page; other missions may say otherwise, and have none."""
+    written_for = document["seed"], document["runs"]
+    return [f"**Conclusion.** {CONCLUSION.strip()}"] if written_for == _WRITTEN_FOR else []
