@@ -49,7 +49,15 @@ def test_pictures_of_the_pages_are_there() -> None:
         text = (DOCS / "results" / f"{name}.md").read_text()
         pictures = [part.partition(")")[0] for part in text.split("](")[1:] if ".png)" in part]
         assert all((DOCS / "results" / picture).is_file() for picture in pictures)
-        shown = ("calibrated", "published", "spectrum", "breadth", "other-vehicles", "vehicle")
+        shown = (
+            "calibrated",
+            "published",
+            "spectrum",
+            "breadth",
+            "other-vehicles",
+            "vehicle",
+            "dvl-noise",
+        )
         assert pictures or name not in shown
 
 
@@ -105,6 +113,7 @@ def test_the_title_of_a_picture_has_its_numbers(tmp_path: Path) -> None:
         "other-vehicles": [
             percent(max(middles("other-vehicles", row_))) for row_ in ("bands", "bands with factor")
         ],
+        "dvl-noise": [percent(max(middles("dvl-noise", "R adaptive")))],
         "vehicle": [
             f"{drawn['vehicle'].groups['body velocity']['bands with factor'][0]:.3f}",
             f"{drawn['vehicle'].groups['tilt']['bands with factor'][0]:.2f}",

@@ -19,6 +19,11 @@ from insdvl.studies.evaluation.approaches import (
     FACTOR_WITH_R,
     LEAST_BAND,
     ORACLE,
+    R_ADAPTIVE,
+    R_ADAPTIVE_WITH_FACTOR,
+    R_LEARNED,
+    R_NOMINAL,
+    R_ORACLE,
     VARIATIONAL,
 )
 from insdvl.studies.results import breadth
@@ -42,6 +47,13 @@ _STYLES = {
     VARIATIONAL: ("variational Bayes, from innovations", "#cc79a7"),
     BEST_CONSTANT: ("best constant", "#e69f00"),
     "constant 0.01/0.001": ("constant 0.01/0.001, as published", "#d55e00"),
+}
+#: Those of the study of the DVL's noise.
+_STYLES_OF_R = {
+    R_NOMINAL: ("that of the data sheet", "#e69f00"),
+    R_LEARNED: ("from the pings and the IMU between them", "#009e73"),
+    R_ADAPTIVE: ("from the innovations too", "#0072b2"),
+    R_ADAPTIVE_WITH_FACTOR: ("and a factor on Q", "#000000"),
 }
 _OVER_ORACLE = "error of the body velocity over that of a filter that is told the noise"
 
@@ -190,12 +202,30 @@ def _vehicle(documents: Documents) -> Forest | None:
     )
 
 
+def _dvl_noise(documents: Documents) -> Forest | None:
+    groups: Groups = {}
+    for one in _comparisons(documents, "dvl-noise"):
+        ratios = {row["approach"]: row["ratio_to"][R_ORACLE] for row in one["rows"]}
+        groups[f"{one['scenario']}, {one['condition']}"] = dict(_found(_STYLES_OF_R, ratios.get))
+    worst = _largest(groups, R_ADAPTIVE)
+    if worst is None:
+        return None
+    return Forest(
+        f"A filter that learns the noise of its DVL is at most {_percent(worst)} behind one that is "
+        "told it",
+        "error of the body velocity over that of a filter that is told R",
+        _STYLES_OF_R,
+        groups,
+    )
+
+
 #: The plots, by file and page; the first is on the page of all results.
 _FORESTS: Mapping[str, Callable[[Documents], Forest | None]] = {
     "forest": overview,
     "spectrum": _spectrum,
     "breadth": _breadth,
     "other-vehicles": _others,
+    "dvl-noise": _dvl_noise,
     "vehicle": _vehicle,
 }
 
