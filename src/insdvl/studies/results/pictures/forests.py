@@ -26,10 +26,12 @@ from insdvl.studies.evaluation.approaches import (
     R_ORACLE,
     VARIATIONAL,
 )
+from insdvl.studies.judgement.withheld import WINDOWS
 from insdvl.studies.results import breadth
 from insdvl.studies.results.others import tables as others
 from insdvl.studies.results.others.flights import DEFAULT
 from insdvl.studies.results.targets import Documents, row
+from insdvl.studies.results.withheld import FREE, TAUGHT, TAUGHT_CONSTANT
 
 #: Middle and ends of an interval.
 Ratio = tuple[float, float, float]
@@ -55,6 +57,16 @@ _STYLES_OF_R = {
     R_ADAPTIVE: ("from the innovations too", "#0072b2"),
     R_ADAPTIVE_WITH_FACTOR: ("and a factor on Q", "#000000"),
 }
+#: Those of the study without a reference.
+_STYLES_OF_TAUGHT = {
+    BANDS: ("learned from spectra", "#56b4e9"),
+    BANDS_WITH_FACTOR: ("and a factor that the DVL tells", "#000000"),
+    f"{BANDS_WITH_FACTOR}{FREE}": ("with the factor, without the floor", "#999999"),
+    TAUGHT: ("taught by the DVL", "#e69f00"),
+    f"{TAUGHT}{FREE}": ("taught, without the floor", "#d55e00"),
+    f"{TAUGHT_CONSTANT}{FREE}": ("a constant, taught, without the floor", "#009e73"),
+}
+_LENGTH = "30 s"  # of the outages in the title
 _OVER_ORACLE = "error of the body velocity over that of a filter that is told the noise"
 
 
@@ -211,10 +223,28 @@ def _dvl_noise(documents: Documents) -> Forest | None:
     if worst is None:
         return None
     return Forest(
-        f"A filter that learns the noise of its DVL is at most {_percent(worst)} behind one that is "
-        "told it",
+        f"A filter that learns the noise of its DVL is at most {_percent(worst)} behind one that "
+        "is told it",
         "error of the body velocity over that of a filter that is told R",
         _STYLES_OF_R,
+        groups,
+    )
+
+
+def _withheld(documents: Documents) -> Forest | None:
+    against = documents.get("withheld", {}).get("against_hand_set", {})
+    groups: Groups = {}
+    for seconds in WINDOWS:
+        over = {row: lengths[f"{seconds:g} s"]["error"] for row, lengths in against.items()}
+        groups[f"{seconds:g} s"] = dict(_found(_STYLES_OF_TAUGHT, over.get))
+    taught = groups[_LENGTH].get(f"{TAUGHT}{FREE}")
+    if taught is None:
+        return None
+    return Forest(
+        f"What the DVL has taught predicts it after {_LENGTH} with {taught[0]:.2f} of the error of "
+        "hand-set noise",
+        "error of the first ping after an outage over that with hand-set noise",
+        _STYLES_OF_TAUGHT,
         groups,
     )
 
@@ -227,6 +257,7 @@ _FORESTS: Mapping[str, Callable[[Documents], Forest | None]] = {
     "other-vehicles": _others,
     "dvl-noise": _dvl_noise,
     "vehicle": _vehicle,
+    "withheld": _withheld,
 }
 
 
