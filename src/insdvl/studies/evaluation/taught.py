@@ -19,7 +19,7 @@ from insdvl.simulation.sensors.dvl import DvlModel
 from insdvl.simulation.sensors.imu import ImuModel
 from insdvl.simulation.trajectories import BASELINE
 from insdvl.studies.teaching.lesson import Lesson, lesson_of
-from insdvl.studies.teaching.teach import TeachingError, constant_of, teach
+from insdvl.studies.teaching.teach import TeachingError, constant_of, fits_of, teach
 from insdvl.tuner.features.bands import WINDOW
 from insdvl.tuner.features.schemas import SCHEMAS
 from insdvl.tuner.models import Model
@@ -78,7 +78,7 @@ def lessons_of(
 def taught_model(lessons: list[Lesson]) -> Model:
     """The model that they teach; the best constant by likelihood where it is refused."""
     try:
-        regressor = teach(lessons).regressor
+        regressor = teach(fits_of(lessons)).regressor
     except TeachingError:
         regressor = constant_of(lessons)
     return model_of(regressor)

@@ -30,7 +30,14 @@ from insdvl.studies.results.recorded.predictions import against_hand_set, predic
 from insdvl.studies.results.recordings import Recording, Settings, stream_axes, stretches
 from insdvl.studies.results.vehicle_runs import HAND_SET, Received, filtered, process_noise
 from insdvl.studies.teaching.lesson import lesson_of
-from insdvl.studies.teaching.teach import BANDS, CONSTANT, TeachingError, constant_of, teach
+from insdvl.studies.teaching.teach import (
+    BANDS,
+    CONSTANT,
+    TeachingError,
+    constant_of,
+    fits_of,
+    teach,
+)
 from insdvl.tuner.features.bands import WINDOW
 from insdvl.tuner.features.schemas import SCHEMAS
 from insdvl.tuner.models import Model
@@ -160,7 +167,7 @@ def taught_without(
     constant = constant_of(lessons)
     answer, regressor = REFUSED, constant
     try:
-        taught = teach(lessons)
+        taught = teach(fits_of(lessons))
         answer, regressor = taught.answer, taught.regressor
     except TeachingError:
         pass

@@ -1,4 +1,4 @@
-"""The command `insdvl train --from-bags`: recordings of a vehicle -> weights of its bands."""
+"""The command `insdvl train --from-bags`: recordings of a vehicle -> what its DVL teaches."""
 
 import argparse
 import sys
@@ -15,7 +15,8 @@ from insdvl.studies.replay.fold import fold_recording, read
 from insdvl.studies.replay.inputs.extrinsics import with_extrinsics
 from insdvl.studies.replay.taken import MOST
 from insdvl.studies.teaching.lesson import Lesson, LessonError, lesson_of
-from insdvl.studies.teaching.teach import TeachingError, teach
+from insdvl.studies.teaching.slow_error import slow_error_of
+from insdvl.studies.teaching.teach import TeachingError, fits_of, teach
 from insdvl.tuner.models import ModelError, write_model
 from insdvl.tuner.parameters import TunerParameters
 
@@ -26,8 +27,12 @@ def run(arguments: argparse.Namespace) -> int:
     """Learn and write the model; the exit code is 2 for invalid input, 1 for a refusal."""
     try:
         lessons = lessons_of(arguments.from_bags, arguments.config or [])
-        taught = teach(lessons, print)
-        written = write_model(arguments.out, taught.regressor.save(), {"name": NAME, **taught.card})
+        fits = fits_of(lessons, print)
+        of_dvl = slow_error_of(fits)
+        print("\n".join(of_dvl.lines))
+        taught = teach(fits)
+        card = {"name": NAME, **taught.card, "slow_error_of_dvl": of_dvl.card}
+        written = write_model(arguments.out, taught.regressor.save(), card)
     except TeachingError as error:
         print(f"insdvl train: no model: {error}", file=sys.stderr)
         return 1

@@ -1,9 +1,9 @@
 """The likelihood of the pings as a function of a few numbers, and its maximum.
 
 A family says how the process noise follows from the numbers: `Bands` from the features, `Constant`
-not at all. Both have two numbers more, which are found beside them and not kept: factors on the
-sigma of the pings and of their slow error. The posterior is maximised by Fisher scoring: the
-information of innovations nu with covariances S is
+not at all. Both have numbers of the DVL behind these: of the sigma of a ping, and of sigma and time
+constant of its slow error. The posterior is maximised by Fisher scoring: the information of
+innovations nu with covariances S is
 
     I_ab = sum d_a nu^T S^-1 d_b nu + tr(S^-1 d_a S S^-1 d_b S) / 2
 
@@ -20,12 +20,16 @@ from insdvl.arrays import Array
 from insdvl.studies.teaching.lesson import Lesson
 from insdvl.studies.teaching.prior import prior
 from insdvl.studies.teaching.residuals import innovations
-from insdvl.tuner.features.band_groups import GROUP_FEATURE_NAMES
 from insdvl.tuner.windows import CHANNELS
 
-#: Logarithms of the factors on the sigma of the DVL, white and slow: one sigma.
+#: Of the DVL, each the logarithm of a factor on what is nominal.
+DVL_NUMBERS = (
+    "log sigma of the DVL",
+    "log sigma of its slow error",
+    "log time constant of its slow error",
+)
+#: One sigma of each, in the prior.
 DVL_SPREAD = 1.0
-DVL_NUMBERS = ("log sigma of the DVL", "log sigma of its slow error")
 #: Of log q of a constant about the mean of the least band: any value is as good as another.
 CONSTANT_SPREAD = 5.0
 
@@ -37,15 +41,17 @@ _LONGEST_STEP = 4.0  # of each number
 
 
 class Family(Protocol):
-    """How the process noise follows from numbers (d,); the last two are those of the DVL.
+    """How the process noise follows from numbers (d,); the last ones are those of the DVL.
 
     Attributes:
         mean: (d,) of the prior.
         covariance: (d, d) of the prior.
+        slow: Whether the DVL has a slow error: all `DVL_NUMBERS`, or the first alone.
     """
 
     mean: Array
     covariance: Array
+    slow: bool
 
     def variances(self, lesson: Lesson, numbers: Array) -> Array:
         """Variances per sample (K, 6) at the windows of a lesson."""
@@ -56,15 +62,18 @@ class Bands:
 
     Args:
         lessons: Their mean level is that of the vehicle.
+        slow: See `Family`.
     """
 
-    def __init__(self, lessons: Sequence[Lesson]) -> None:
+    def __init__(self, lessons: Sequence[Lesson], *, slow: bool = True) -> None:
+        self.slow = slow
         levels = np.concatenate([lesson.X[:, :, -1] for lesson in lessons])
         self.levels = levels.reshape(len(levels), 2, _TRIAD).mean(axis=(0, 2))
         mean, covariance = prior()
         self.size = mean.shape[1]
-        self.mean = np.concatenate([*mean, np.zeros(len(DVL_NUMBERS))])
-        self.covariance = _blocks([*covariance, DVL_SPREAD**2 * np.eye(len(DVL_NUMBERS))])
+        of_dvl, spread = _of_dvl(slow)
+        self.mean = np.concatenate([*mean, of_dvl])
+        self.covariance = _blocks([*covariance, spread])
 
     def variances(self, lesson: Lesson, numbers: Array) -> Array:
         """See `Family`."""
@@ -83,23 +92,20 @@ class Bands:
         """(2, D) constant and weights of the accelerometers and of the gyroscopes."""
         return numbers[: 2 * self.size].reshape(2, self.size)
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Of the numbers."""
-        of_group = ("constant", *GROUP_FEATURE_NAMES)
-        return (*of_group, *of_group, *DVL_NUMBERS)
-
 
 class Constant:
     """A variance of the accelerometers and one of the gyroscopes.
 
     Args:
         lessons: Their mean level is the middle of the prior.
+        slow: See `Family`.
     """
 
-    def __init__(self, lessons: Sequence[Lesson]) -> None:
-        self.mean = np.concatenate([Bands(lessons).levels, np.zeros(len(DVL_NUMBERS))])
-        self.covariance = np.diag([CONSTANT_SPREAD] * 2 + [DVL_SPREAD] * len(DVL_NUMBERS)) ** 2
+    def __init__(self, lessons: Sequence[Lesson], *, slow: bool = True) -> None:
+        self.slow = slow
+        of_dvl, spread = _of_dvl(slow)
+        self.mean = np.concatenate([Bands(lessons).levels, of_dvl])
+        self.covariance = _blocks([CONSTANT_SPREAD**2 * np.eye(2), spread])
 
     def variances(self, lesson: Lesson, numbers: Array) -> Array:
         """See `Family`."""
@@ -115,8 +121,8 @@ class Fixed:
 
     def __init__(self, variances: Callable[[Lesson], Array]) -> None:
         self._variances = variances
-        self.mean = np.zeros(len(DVL_NUMBERS))
-        self.covariance = DVL_SPREAD**2 * np.eye(len(DVL_NUMBERS))
+        self.slow = True
+        self.mean, self.covariance = _of_dvl(self.slow)
 
     def variances(self, lesson: Lesson, numbers: Array) -> Array:
         """See `Family`."""
@@ -141,6 +147,14 @@ class Fit:
     def sigma(self) -> Array:
         """(d,) standard errors."""
         return np.sqrt(np.diagonal(self.covariance))
+
+
+def dvl_factors(family: Family, numbers: Array) -> tuple[float, float, float]:
+    """Factors on the nominal sigma of the DVL, sigma and time constant of its slow error."""
+    if not family.slow:
+        return float(np.exp(numbers[-1])), 0.0, 1.0
+    r, slow, time_constant = np.exp(numbers[-len(DVL_NUMBERS) :])
+    return float(r), float(slow), float(time_constant)
 
 
 def log_likelihoods(family: Family, lesson: Lesson, numbers: Array) -> Array:
@@ -174,7 +188,7 @@ def fit(family: Family, lessons: Sequence[Lesson], start: Array | None = None) -
     value, converged = posterior(numbers), False
     information = precision
     for _ in range(_MOST_STEPS):
-        gradient, information = _slope(family, lessons, numbers)
+        gradient, information = slope(family, lessons, numbers)
         gradient = gradient - precision @ (numbers - family.mean)
         information = information + precision
         step = np.linalg.solve(information, gradient)
@@ -200,13 +214,15 @@ def fit(family: Family, lessons: Sequence[Lesson], start: Array | None = None) -
 
 def _scored(family: Family, lesson: Lesson, numbers: Array) -> tuple[Array, Array]:
     q = family.variances(lesson, numbers)
-    r, slow = np.exp(numbers[-2:])
-    found = innovations(lesson.stretch, q, float(r), float(slow))
+    found = innovations(lesson.stretch, q, *dvl_factors(family, numbers))
     return found.nu[lesson.scored], found.S[lesson.scored]
 
 
-def _slope(family: Family, lessons: Sequence[Lesson], numbers: Array) -> tuple[Array, Array]:
-    """Gradient (d,) of the log likelihood and its expected information (d, d)."""
+def slope(family: Family, lessons: Sequence[Lesson], numbers: Array) -> tuple[Array, Array]:
+    """Gradient (d,) of the log likelihood and its expected information (d, d).
+
+    The derivatives of nu and S are differences of runs of the small filter.
+    """
     d = len(numbers)
     gradient, information = np.zeros(d), np.zeros((d, d))
     for lesson in lessons:
@@ -229,6 +245,12 @@ def _slope(family: Family, lessons: Sequence[Lesson], numbers: Array) -> tuple[A
         information += np.einsum("ami,bmi->ab", of_nu, of_nu)
         information += 0.5 * np.einsum("amij,bmij->ab", of_S, of_S)
     return gradient, information
+
+
+def _of_dvl(slow: bool) -> tuple[Array, Array]:
+    """Mean and covariance of the prior of the numbers of the DVL."""
+    size = len(DVL_NUMBERS) if slow else 1
+    return np.zeros(size), DVL_SPREAD**2 * np.eye(size)
 
 
 def _blocks(matrices: Sequence[Array]) -> Array:

@@ -41,8 +41,8 @@ LONGEST_GAP = 1.0
 LONGEST_STEP = 1.0
 #: Fewer pings are no lesson.
 FEWEST_PINGS = 30
-#: Where the configuration has no slow error of the DVL: its sigma over that of a ping, and its
-#: correlation time [s].
+#: Nominal slow error of the DVL where the configuration has none: its sigma over that of a ping,
+#: and its correlation time [s].
 SLOW, TIME_CONSTANT = 0.3, 10.0
 
 
@@ -172,7 +172,8 @@ def _stretch(
     """The stretch from the state ``begin`` on."""
     filter_ = folded.filter
     at = int(folded.states["nav"]["time_ns"][begin])
-    start, bias = _start(filter_, folded.states[begin], parameters)
+    first = folded.states[np.argmax(folded.states["nav"]["initialised"] != 0)]
+    start, bias = _start(filter_, first, folded.states[begin], parameters)
     ping_ns = np.array([e.stamp_ns for e in pings], dtype=np.int64)
     inner = window_ns[(window_ns > at) & (window_ns < ping_ns[-1])]
     bounds_ns = _divided(np.unique(np.concatenate([[at], inner, ping_ns])))
@@ -181,11 +182,8 @@ def _stretch(
     C_d_i = filter_.vehicle.C_b_i.T @ filter_.vehicle.axes.body_rotation(
         rotation_from_rpy(np.array(parameters.dvl.mount))
     )
-    R = np.array([C_d_i @ model.noise(e) @ C_d_i.T for e in pings])
-    noise = np.diagonal(R, axis1=1, axis2=2).copy()
-    modelled = parameters.dvl.bias_model != "none"
-    told = np.array(parameters.dvl.bias_std) if modelled else np.zeros(3)
-    slow = np.abs(C_d_i @ told) if told.any() else SLOW * np.sqrt(noise.mean(axis=0))
+    R = np.array([model.noise(e) for e in pings])
+    slow_std, time_constant = _slow_error(parameters, R)
     return Stretch(
         start=start,
         steps=steps,
@@ -193,10 +191,24 @@ def _stretch(
         estimate=np.searchsorted(window_ns, bounds_ns[:-1], side="right") - 1,
         pings=np.searchsorted(bounds_ns, ping_ns) - 1,
         velocities=_velocities(filter_, parameters, stamps_ns, samples - bias, pings, C_d_i),
-        noise=noise,
-        slow=slow,
-        time_constant=parameters.dvl.bias_time_constant if told.any() else TIME_CONSTANT,
+        noise=np.diagonal(C_d_i @ R @ C_d_i.T, axis1=1, axis2=2).copy(),
+        slow_std=slow_std,
+        time_constant=time_constant,
+        C_d_i=C_d_i,
     )
+
+
+def _slow_error(parameters: FilterParameters, R: Array) -> tuple[Array, float]:
+    """Nominal sigma (3,) of the slow error in DVL axes [m/s], and its time constant [s].
+
+    Args:
+        parameters: Of the filter.
+        R: (M, 3, 3) covariances of the pings in DVL axes [(m/s)^2].
+    """
+    told = parameters.dvl
+    if told.bias_model != "none" and any(told.bias_std):
+        return np.array(told.bias_std), told.bias_time_constant
+    return SLOW * np.sqrt(np.diagonal(R.mean(axis=0))), TIME_CONSTANT
 
 
 def _divided(bounds_ns: Stamps) -> Stamps:
@@ -210,8 +222,42 @@ def _divided(bounds_ns: Stamps) -> Stamps:
     return np.unique(np.concatenate([bounds_ns, *further]))
 
 
-def _start(filter_: Filter, s: State, parameters: FilterParameters) -> tuple[Start, Array]:
-    """The begin of a stretch, and the biases (6,) that are removed from it, in IMU axes."""
+def _start(
+    filter_: Filter, first: State, s: State, parameters: FilterParameters
+) -> tuple[Start, Array]:
+    """The begin of a stretch, and the biases (6,) that are removed from it, in IMU axes.
+
+    A filter that is told too little of the DVL's errors takes them for biases and tilt, and is sure
+    of both. So the biases are those of its first state, and nothing is surer than there.
+
+    Args:
+        filter_: That has navigated the recording.
+        first: Its first state.
+        s: That at the begin.
+        parameters: Of the filter.
+    """
+    nav, C_b_i = s["nav"], filter_.vehicle.C_b_i
+    variances = np.maximum(_variances(filter_, first), _variances(filter_, s))
+    lat, _, h = nav["llh"]
+    w_ie_n = np.empty(3)
+    earth_rate_n(lat, w_ie_n)
+    noise = parameters.process_noise
+    start = Start(
+        C_n_i=np.ascontiguousarray(nav["C_n_b"] @ C_b_i),
+        v_n=nav["v_n"].copy(),
+        variances=variances,
+        g_n=np.array([0.0, 0.0, gravity(lat, h)]),
+        w_ie_n=w_ie_n,
+        radius=radii(lat)[1],
+        latitude=float(lat),
+        walks=np.repeat([noise.accelerometer_bias_walk, noise.gyroscope_bias_walk], 3),
+    )
+    biases = first["nav"]
+    return start, np.concatenate([C_b_i.T @ biases["b_f"], C_b_i.T @ biases["b_w"]])
+
+
+def _variances(filter_: Filter, s: State) -> Array:
+    """Variances (12,) as `Start` has them."""
     nav, C_b_i = s["nav"], filter_.vehicle.C_b_i
     P = nav["P"][: filter_.n, : filter_.n]
     J = body_velocity_jacobian(
@@ -221,27 +267,13 @@ def _start(filter_: Filter, s: State, parameters: FilterParameters) -> tuple[Sta
         np.diagonal(C_b_i.T @ P[block, block] @ C_b_i)
         for block in (ACCELEROMETER_BIAS, GYROSCOPE_BIAS)
     ]
-    lat, _, h = nav["llh"]
-    w_ie_n = np.empty(3)
-    earth_rate_n(lat, w_ie_n)
-    noise = parameters.process_noise
-    start = Start(
-        C_n_i=np.ascontiguousarray(nav["C_n_b"] @ C_b_i),
-        v_n=nav["v_n"].copy(),
-        variances=np.concatenate(
-            [
-                np.diagonal(C_b_i.T @ J @ P @ J.T @ C_b_i),
-                np.diagonal(P[ATTITUDE, ATTITUDE]),
-                *of_biases,
-            ]
-        ),
-        g_n=np.array([0.0, 0.0, gravity(lat, h)]),
-        w_ie_n=w_ie_n,
-        radius=radii(lat)[1],
-        latitude=float(lat),
-        walks=np.repeat([noise.accelerometer_bias_walk, noise.gyroscope_bias_walk], 3),
+    return np.concatenate(
+        [
+            np.diagonal(C_b_i.T @ J @ P @ J.T @ C_b_i),
+            np.diagonal(P[ATTITUDE, ATTITUDE]),
+            *of_biases,
+        ]
     )
-    return start, np.concatenate([C_b_i.T @ nav["b_f"], C_b_i.T @ nav["b_w"]])
 
 
 def _velocities(

@@ -64,8 +64,9 @@ class Stretch:
         pings: (M,) step that each ping ends.
         velocities: (M, 3) of the pings, at the IMU, in its axes [m/s].
         noise: (M, 3) nominal variances of their components [(m/s)^2].
-        slow: (3,) nominal sigma of the slow error of the DVL [m/s].
-        time_constant: Of that error [s].
+        slow_std: (3,) nominal sigma of the slow error of the DVL, in its axes [m/s].
+        time_constant: Nominal, of that error [s].
+        C_d_i: (3, 3) from the axes of the DVL to those of the IMU.
     """
 
     start: Start
@@ -75,8 +76,9 @@ class Stretch:
     pings: NDArray[np.int64]
     velocities: Array
     noise: Array
-    slow: Array
+    slow_std: Array
     time_constant: float
+    C_d_i: Array
 
 
 class Innovations(NamedTuple):
@@ -86,21 +88,26 @@ class Innovations(NamedTuple):
     S: Array
 
 
-def innovations(stretch: Stretch, q: Array, r: float, slow: float) -> Innovations:
+def innovations(
+    stretch: Stretch, q: Array, r: float, slow: float, time_constant: float
+) -> Innovations:
     """The innovations of the pings.
 
     Args:
         stretch: Of a recording.
         q: (K, 6) variances per sample of specific force and angular rate, at the features' times.
         r: Factor on the nominal sigma of the pings.
-        slow: Factor on the nominal sigma of the slow error.
+        slow: Factor on the nominal sigma of the slow error; 0 for none.
+        time_constant: Factor on its nominal time constant.
     """
     start, steps, count = stretch.start, stretch.steps, len(stretch.pings)
     found = Innovations(np.empty((count, _ROWS)), np.empty((count, _ROWS, _ROWS)))
+    of_axes = (slow * stretch.slow_std) ** 2
+    covariance = np.ascontiguousarray(stretch.C_d_i * of_axes @ stretch.C_d_i.T)
     P = np.zeros((SIZE, SIZE))
     P[np.arange(12), np.arange(12)] = start.variances
     P[:3, :3] = start.C_n_i @ P[:3, :3] @ start.C_n_i.T
-    P[np.arange(12, SIZE), np.arange(12, SIZE)] = (slow * stretch.slow) ** 2
+    P[12:, 12:] = covariance
     _filter(
         start.C_n_i.copy(),
         start.v_n.copy(),
@@ -117,8 +124,8 @@ def innovations(stretch: Stretch, q: Array, r: float, slow: float) -> Innovation
         stretch.pings,
         stretch.velocities,
         stretch.noise * r**2,
-        (slow * stretch.slow) ** 2,
-        stretch.time_constant,
+        covariance,
+        time_constant * stretch.time_constant,
         found.nu,
         found.S,
     )
@@ -147,7 +154,10 @@ def _filter(
     nu: Array,
     S: Array,
 ) -> None:
-    """See `innovations`; ``density`` (J, 6) is that of white noise; C, v and P are used up."""
+    """See `innovations`; C, v and P are used up.
+
+    ``density`` (J, 6) is that of the white noise, ``slow`` (3, 3) the covariance of the slow error.
+    """
     n = SIZE
     b_f, b_w, b_d = np.zeros(3), np.zeros(3), np.zeros(3)
     R, mean, C_mid = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
@@ -190,7 +200,9 @@ def _filter(
         decay = np.exp(-t / time_constant)
         for i in range(3):
             Phi[12 + i, 12 + i] = decay
-            Q[12 + i, 12 + i] = slow[i] * (1.0 - decay * decay)
+            b_d[i] *= decay
+            for k in range(3):
+                Q[12 + i, 12 + k] = slow[i, k] * (1.0 - decay * decay)
             Q[6 + i, 6 + i], Q[9 + i, 9 + i] = walks[i] * t, walks[3 + i] * t
             c[:] = C_mid[:, i]
             cross(u, v, c)
@@ -213,6 +225,10 @@ def _filter(
         Phi[0, 4], Phi[0, 5] = -t * g_n[2], t * g_n[1]
         Phi[1, 3], Phi[1, 5] = t * g_n[2], -t * g_n[0]
         Phi[2, 3], Phi[2, 4] = -t * g_n[1], t * g_n[0]
+        # The turn of the axes makes a tilt of an error of the heading.
+        Phi[3, 4], Phi[3, 5] = t * w_in[2], -t * w_in[1]
+        Phi[4, 3], Phi[4, 5] = -t * w_in[2], t * w_in[0]
+        Phi[5, 3], Phi[5, 4] = t * w_in[1], -t * w_in[0]
         _spread(P, Phi, Q)
         v[:] = new_v
         while ping < pings.size and pings[ping] == j:
@@ -266,12 +282,15 @@ def _gain(P: Array, C: Array, noise: Array, PHt: Array, covariance: Array, K: Ar
 
 @kernel
 def _spread(P: Array, Phi: Array, Q: Array) -> None:
-    """P = Phi P Phi^T + Q in place; Phi is the identity but for its first six rows and a decay."""
+    """P = Phi P Phi^T + Q in place; Phi is the identity but for its first six rows and a decay.
+
+    The attitude is turned row by row: what that changes is of the second order of the turn.
+    """
     for side in range(2):
-        for i in range(6):  # the rows below are still old: row i depends on later ones only
-            for k in range(max(i + 1, 3), 12):
+        for i in range(6):  # the rows below are still old
+            for k in range(3, 12):
                 f = Phi[i, k]
-                if f != 0.0:
+                if f != 0.0 and k != i:
                     for o in range(SIZE):
                         if side == 0:
                             P[i, o] += f * P[k, o]

@@ -5,7 +5,7 @@ taught: weights of the bands; a constant; or neither, where the simulated vehicl
 """
 
 import platform
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -22,6 +22,7 @@ from insdvl.studies.teaching.fit import (
     Family,
     Fit,
     Fixed,
+    dvl_factors,
     fit,
     log_likelihood,
 )
@@ -64,15 +65,34 @@ class Taught:
     lines: tuple[str, ...]
 
 
-def teach(lessons: Sequence[Lesson], say: Callable[[str], None] = lambda _: None) -> Taught:
-    """Learn the weights of a vehicle.
+@dataclass(frozen=True, eq=False)
+class Fits:
+    """Fits to the recordings of a vehicle, not judged yet.
+
+    Attributes:
+        lessons: The recordings.
+        part: (number of lessons,) which stretch of the voyage each is of.
+        family: Of the bands.
+        found: Their fit to all lessons.
+        held: By answer, log likelihood of the recordings of each stretch, fitted without them.
+    """
+
+    lessons: Sequence[Lesson]
+    part: NDArray[np.int64]
+    family: Bands
+    found: Fit
+    held: dict[str, Array]
+
+
+def fits_of(lessons: Sequence[Lesson], say: Callable[[str], None] = lambda _: None) -> Fits:
+    """Fit all answers, to all recordings and to all but each.
 
     Args:
-        lessons: Its recordings.
+        lessons: Recordings of a vehicle.
         say: Called with messages of progress.
 
     Raises:
-        TeachingError: They do not say enough; the message tells what is missing.
+        TeachingError: There are too few; the message tells what is missing.
     """
     count = sum(lesson.count for lesson in lessons)
     if count < FEWEST:
@@ -89,6 +109,19 @@ def teach(lessons: Sequence[Lesson], say: Callable[[str], None] = lambda _: None
     family = Bands(lessons)
     found = fit(family, lessons)
     say(f"weights fitted to {count} measurements of the DVL")
+    held = _held_out(lessons, part, found)
+    for answer, values in held.items():
+        say(f"left out, {answer}: log likelihood {values.sum():.1f}")
+    return Fits(lessons, part, family, found, held)
+
+
+def teach(fits: Fits) -> Taught:
+    """The weights of a vehicle.
+
+    Raises:
+        TeachingError: The recordings do not say enough; the message tells what is missing.
+    """
+    lessons, family, found, held = fits.lessons, fits.family, fits.found, fits.held
     spreads = _spreads(family, lessons, found)
     if min(after for _, after in spreads) > LARGEST_SIGMA:
         told = ", ".join(
@@ -99,10 +132,7 @@ def teach(lessons: Sequence[Lesson], say: Callable[[str], None] = lambda _: None
             f"the recordings do not say enough: the standard error of log q is {told}; below "
             f"{LARGEST_SIGMA:g} of one group is needed. Longer recordings or a better DVL say more"
         )
-    held = _held_out(lessons, part, found)
     total = {answer: float(values.sum()) for answer, values in held.items()}
-    for answer, values in held.items():
-        say(f"left out, {answer}: log likelihood {values.sum():.1f}")
     answer = max((BANDS, CONSTANT), key=lambda name: total[name])
     if total[answer] <= total[SIMULATED]:
         raise TeachingError(
@@ -121,7 +151,7 @@ def teach(lessons: Sequence[Lesson], say: Callable[[str], None] = lambda _: None
             "recordings": {lesson.name: lesson.count for lesson in lessons},
             "answer": answer,
             "left_out_log_likelihood": {
-                name: dict(zip(_parts(lessons, part), values.tolist(), strict=True))
+                name: dict(zip(_parts(fits), values.tolist(), strict=True))
                 for name, values in held.items()
             },
             "weights": {
@@ -135,7 +165,7 @@ def teach(lessons: Sequence[Lesson], say: Callable[[str], None] = lambda _: None
                 group: {"before": before, "after": after}
                 for group, (before, after) in zip(GROUPS, spreads, strict=True)
             },
-            "factor_on_dvl_sigma": float(np.exp(found.numbers[-2])),
+            "factor_on_dvl_sigma": dvl_factors(family, found.numbers)[0],
         },
         "versions": {
             "python": platform.python_version(),
@@ -169,12 +199,19 @@ def _spreads(family: Bands, lessons: Sequence[Lesson], found: Fit) -> list[tuple
     return spreads
 
 
+def divided(
+    lessons: Sequence[Lesson], part: NDArray[np.int64]
+) -> Iterator[tuple[list[Lesson], list[Lesson]]]:
+    """For each stretch, the lessons of all others, and its own."""
+    for own in np.unique(part):
+        others = [lesson for lesson, k in zip(lessons, part, strict=True) if k != own]
+        yield others, [lesson for lesson, k in zip(lessons, part, strict=True) if k == own]
+
+
 def _held_out(lessons: Sequence[Lesson], part: NDArray[np.int64], found: Fit) -> dict[str, Array]:
     """Log likelihood of the recordings of each stretch, by answers fitted without them."""
     held: dict[str, list[float]] = {BANDS: [], CONSTANT: [], SIMULATED: [], CONFIGURED: []}
-    for own in np.unique(part):
-        others = [lesson for lesson, k in zip(lessons, part, strict=True) if k != own]
-        test = [lesson for lesson, k in zip(lessons, part, strict=True) if k == own]
+    for others, test in divided(lessons, part):
         bands = Bands(others)
         families: dict[str, tuple[Family, Array | None]] = {
             BANDS: (bands, found.numbers),
@@ -188,11 +225,11 @@ def _held_out(lessons: Sequence[Lesson], part: NDArray[np.int64], found: Fit) ->
     return {answer: np.array(values) for answer, values in held.items()}
 
 
-def _parts(lessons: Sequence[Lesson], part: NDArray[np.int64]) -> list[str]:
+def _parts(fits: Fits) -> list[str]:
     """Names of the recordings of each stretch."""
     return [
-        "+".join(lesson.name for lesson, k in zip(lessons, part, strict=True) if k == own)
-        for own in np.unique(part)
+        "+".join(lesson.name for lesson, k in zip(fits.lessons, fits.part, strict=True) if k == own)
+        for own in np.unique(fits.part)
     ]
 
 
