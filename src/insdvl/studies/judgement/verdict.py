@@ -409,7 +409,7 @@ def _of_whiteness(innovations: dict[str, Any] | None, noise: DvlNoise | None) ->
             "correlated",
             f"neighbouring innovations are correlated by {rho:+.2f} and should be white",
             "errors of the DVL last for seconds: set dvl.bias_model to 'gauss_markov' with "
-            "dvl.bias_std"
+            "dvl.bias_std, which insdvl train --from-bags tells"
             if rho > 0.0
             else "the filter follows the DVL's noise: lower process_noise.*_variance",
             cautious=rho < 0.0,
