@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from insdvl.studies.results import breadth
 from insdvl.studies.results.command import documents
 from insdvl.studies.results.targets import row
 
@@ -109,6 +110,43 @@ def predicted(approach: str) -> tuple[float, ...]:
     return tuple(found[f"{seconds} s"]["error"][0] for seconds in (10, 30, 60))
 
 
+def lines(
+    *scenarios: str, grades: Sequence[str] = ("fog", "tactical", "mems"), outage: float = 0.0
+) -> list[dict[str, Any]]:
+    """Of the study of other IMUs."""
+    return [
+        one
+        for one in numbers()["breadth"]["comparisons"]
+        if one["scenario"] in scenarios and one["imu_grade"] in grades and one["outage"] == outage
+    ]
+
+
+def over(found: Sequence[dict[str, Any]], approach: str, reference: str = "oracle") -> list[float]:
+    """Means of the ratios of the body velocity, or of the drift in an outage."""
+    metrics = ["outage_drift" if one["outage"] else "body_rmse" for one in found]
+    ratios = [
+        breadth.ratio(one, approach, reference, metric)
+        for one, metric in zip(found, metrics, strict=True)
+    ]
+    return [x[0] for x in ratios if x is not None]
+
+
+def nees_of(found: Sequence[dict[str, Any]], approach: str, block: str = "velocity") -> list[float]:
+    return [float(breadth.row_of(one, approach)["nees_per_dof"][block]) for one in found]
+
+
+def drift(approach: str) -> float:
+    """Of MEMS in `realistic` after a minute [m]."""
+    (line,) = lines("realistic", grades=("mems",), outage=60.0)
+    return float(breadth.row_of(line, approach)["outage_drift"])
+
+
+def at_5_hz(approach: str, grade: str) -> float:
+    found = [x for x in lines("realistic", grades=(grade,)) if x["dvl_rate"] == 5.0]
+    return over(found, approach)[0]
+
+
+CALM, OTHERS = ("vibrating", "waves"), ("tactical", "mems")
 R_LEARNED, FACTOR_R = "bands with R adaptive", "bands with factor and R adaptive"
 WITH_ERROR = "bands with factor and R adaptive and DVL error"
 
@@ -214,6 +252,62 @@ CLAIMS: dict[str, Callable[[], Sequence[float]]] = {
         lost_by_the_gate("bands with factor"),
         lost_by_the_gate("bands"),
     ),
+    "has N runs of each line.": lambda: [numbers()["breadth"]["runs"]],
+    "In `vibrating` and `waves` `bands` is within N % of the oracle with a FOG": lambda: [
+        percent(max(over(lines(*CALM), "bands")))
+    ],
+    "noise of the IMU: at most N % with a FOG, N to N % with MEMS": lambda: [
+        -percent(min(over(lines(*CALM, grades=("fog",)), "bands", "best constant"))),
+        *(
+            -percent(x)
+            for x in span(over(lines(*CALM, grades=("mems",)), "bands", "best constant"))[::-1]
+        ),
+    ],
+    "it is up to N % behind the oracle and up to N % behind the best constant; with the "
+    "factor N and N %": lambda: [
+        percent(max(over(lines("coloured"), approach, reference)))
+        for approach in ("bands", "bands with factor")
+        for reference in ("oracle", "best constant")
+    ],
+    "and the NEES of the velocity is N to N in place of N to N": lambda: [
+        *span(nees_of(lines("coloured"), "bands with factor")),
+        *span(nees_of(lines("coloured"), "bands")),
+    ],
+    "`bands` has N to N of the oracle's error, the best constant N to N": lambda: [
+        *span(over(lines("realistic", grades=("fog",)), "bands")),
+        *span(over(lines("realistic", grades=("fog",)), "best constant")),
+    ],
+    "With the other two IMUs `bands` is N to N % behind": lambda: [
+        percent(x) for x in span(over(lines("realistic", grades=OTHERS), "bands"))
+    ],
+    "in `vibrating` and `waves`, N to N of it": lambda: span(
+        over(lines(*CALM, outage=60.0), "bands")
+    ),
+    "In `coloured` it is up to N % more, with the factor up to N %": lambda: [
+        percent(max(over(lines("coloured", outage=60.0), name)))
+        for name in ("bands", "bands with factor")
+    ],
+    "it is N % more, N m in place of N m, and with the factor and the adaptive R N %": lambda: [
+        percent(drift("bands") / drift("oracle")),
+        drift("bands"),
+        drift("oracle"),
+        percent(drift(FACTOR_R) / drift("oracle")),
+    ],
+    "is N to N in all lines, without them N to N": lambda: [
+        *span(nees_of(lines("realistic"), WITH_ERROR)),
+        *span(nees_of(lines("realistic"), FACTOR_R)),
+    ],
+    "The error is N to N of the oracle's with them, N to N without": lambda: [
+        *span(over(lines("realistic"), WITH_ERROR)),
+        *span(over(lines("realistic"), FACTOR_R)),
+    ],
+    "with a tactical IMU N and N, with a FOG N and N": lambda: [
+        at_5_hz(name, grade) for grade in ("tactical", "fog") for name in (WITH_ERROR, FACTOR_R)
+    ],
+    "of its position is N in `vibrating` with MEMS, and N in `realistic` with a FOG": lambda: [
+        nees_of(lines(name, grades=(grade,), outage=60.0), "oracle", "outage_position")[0]
+        for name, grade in (("vibrating", "mems"), ("realistic", "fog"))
+    ],
 }
 
 
