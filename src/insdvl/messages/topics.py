@@ -236,7 +236,12 @@ def _of_source(topic: str, source: str, replay_parameter: str) -> Topic:
     )
 
 
-def _of_dvl_noise(topic: str, sources: tuple[str, ...], replay_parameter: str) -> Topic:
+def _of_dvl_noise(
+    topic: str,
+    sources: tuple[str, ...],
+    replay_parameter: str,
+    required: Callable[[FilterParameters], str] = _never,
+) -> Topic:
     """The topic of a covariance of the DVL's noise: taken with these of its sources."""
     return Topic(
         topic,
@@ -245,6 +250,7 @@ def _of_dvl_noise(topic: str, sources: tuple[str, ...], replay_parameter: str) -
         ("bad_stamp", "no_data", "bad_covariance"),
         command=True,
         taken=lambda parameters: parameters.dvl.noise_source in sources,
+        required=required,
         frames=_DVL_FRAMES,
         zero_stamp=ZeroStamp.BEGINNING,
         time_offset="dvl.time_offset",  # it has the stamps of the measurements that it is of
@@ -346,11 +352,11 @@ TOPICS: tuple[Topic, ...] = (
     _of_source(PROCESS_NOISE, "external", "process_noise_topic"),
     _of_source(TRUE_PROCESS_NOISE, "oracle", "true_process_noise_topic"),
     _of_dvl_noise(MEASUREMENT_NOISE, ("adaptive", "learned"), "measurement_noise_topic"),
-    replace(
-        _of_dvl_noise(TRUE_MEASUREMENT_NOISE, ("oracle",), "true_measurement_noise_topic"),
-        required=lambda parameters: (
-            "dvl.noise_source is 'oracle'" if parameters.dvl.noise_source == "oracle" else ""
-        ),
+    _of_dvl_noise(
+        TRUE_MEASUREMENT_NOISE,
+        ("oracle",),
+        "true_measurement_noise_topic",
+        lambda parameters: "dvl.noise_source is 'oracle'",
     ),
     Topic(
         FIX,

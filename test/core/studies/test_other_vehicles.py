@@ -1,7 +1,6 @@
 """The study of vehicles that are not those of the training: its numbers, its page, its targets."""
 
 import json
-import re
 from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import replace
@@ -11,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from claims import check, unclaimed
 
 from insdvl.cli import main
 from insdvl.files import read_json
@@ -19,12 +19,11 @@ from insdvl.jobs.pool import open_pool
 from insdvl.simulation.vehicles import VEHICLES
 from insdvl.studies.evaluation.monte_carlo import assess
 from insdvl.studies.results.others import flights, study
-from insdvl.studies.results.others.conclusion import CONCLUSION
 from insdvl.studies.results.others.tables import row_of
+from insdvl.studies.results.others.text import CONCLUSION
 from insdvl.studies.results.page import pages
 
 DOCS = Path(__file__).parents[3] / "docs"
-NUMBER = r"\d+(?:\.\d+)?"
 NAMES = ("AUV, medium noise", "car, coloured noise")
 SMALL = {name: replace(VEHICLES[name], duration=20.0) for name in NAMES}
 RUNS, SEED = 2, 4
@@ -223,27 +222,13 @@ CLAIMS: dict[str, Callable[[], Sequence[float]]] = {
 }
 
 
-def pattern_of(claim: str) -> str:
-    return re.sub(r"\bN\b", lambda _: f"({NUMBER})", re.escape(claim))
-
-
-def concluded() -> str:
-    return " ".join(CONCLUSION.split())
-
-
 @pytest.mark.parametrize("claim", CLAIMS)
 def test_the_conclusion_has_the_numbers_of_the_study(claim: str) -> None:
-    found = re.search(pattern_of(claim), concluded())
-    assert found, claim
-    for told, value in zip(found.groups(), CLAIMS[claim](), strict=True):
-        assert f"{value:.{len(told.partition('.')[2])}f}" == told, claim
+    check(claim, CONCLUSION, CLAIMS[claim]())
 
 
 def test_no_number_of_the_conclusion_is_without_a_claim() -> None:
-    left = concluded()
-    for claim in CLAIMS:
-        left = re.sub(pattern_of(claim), "", left)
-    assert not re.findall(NUMBER, left), left
+    assert not unclaimed(CONCLUSION, CLAIMS)
 
 
 def test_the_words_of_the_conclusion_hold() -> None:

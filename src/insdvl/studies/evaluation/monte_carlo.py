@@ -223,11 +223,15 @@ def at_true_level(mission: Mission, stamps_ns: Stamps, told: Array, *, each: boo
         told: (K, 6).
         each: Whether each channel has a factor of its own.
     """
-    at = np.searchsorted(mission.stamps_ns, stamps_ns)
-    effective = mission.q[np.minimum(at, len(mission.q) - 1)]
-    logarithm = np.mean(np.log(effective / told), axis=0)
-    scaled: Array = told * np.exp(logarithm if each else np.mean(logarithm))
+    logarithm = np.mean(np.log(over_effective(mission, stamps_ns, told)), axis=0)
+    scaled: Array = told / np.exp(logarithm if each else np.mean(logarithm))
     return scaled
+
+
+def over_effective(mission: Mission, stamps_ns: Stamps, told: Array) -> Array:
+    """Told variances (K, 6) from stamps (K,) on, over the effective ones of the next sample."""
+    after = np.searchsorted(mission.stamps_ns, stamps_ns)
+    return told / mission.q[np.minimum(after, len(mission.q) - 1)]
 
 
 def _every(parameters: FilterParameters) -> int:

@@ -1,10 +1,5 @@
 """The text of the page, and what follows from the committed numbers, written by hand."""
 
-from collections.abc import Mapping
-from typing import Any
-
-from insdvl.studies.results.dvl_noise.study import RUNS
-
 QUESTION = """
 How near does a filter that learns the noise of its DVL come to one that is told it? And does it
 still learn where something else is wrong too: pings that are off, or the process noise?
@@ -32,9 +27,6 @@ conditions of a vehicle have the same missions and the same noise, so ratios of 
 paired by mission as well.
 """
 
-#: Seed and number of missions of the numbers that the text was written for.
-_WRITTEN_FOR = 1, RUNS
-
 #: A test holds each number of it against the committed JSON file.
 CONCLUSION = """
 Told the true Q, `R adaptive` has 1.019 of the oracle's error at 5 Hz and 1.057 at 1 Hz, where
@@ -50,9 +42,3 @@ learn R costs as much at 1 Hz without outliers. With a wrong Q it meets the targ
 a hundredth of Q at 5 Hz it has 0.986 of the error of `R nominal`, and 0.942 with the factor. There
 `R learned` has 1.007, and misses it at the end of the interval.
 """
-
-
-def conclusion(document: Mapping[str, Any]) -> list[str]:
-    """The text, as a part of a page; other missions may say otherwise, and have none."""
-    written_for = document["seed"], document["runs"]
-    return [f"**Conclusion.** {CONCLUSION.strip()}"] if written_for == _WRITTEN_FOR else []

@@ -19,7 +19,14 @@ from insdvl.simulation.vehicles import VEHICLES, Vehicle
 from insdvl.studies.evaluation import statistics
 from insdvl.studies.evaluation.approaches import BEST_CONSTANT
 from insdvl.studies.evaluation.metrics import rmse
-from insdvl.studies.evaluation.monte_carlo import METRICS, Flight, assess, failed, track_of
+from insdvl.studies.evaluation.monte_carlo import (
+    METRICS,
+    Flight,
+    assess,
+    failed,
+    over_effective,
+    track_of,
+)
 from insdvl.studies.results.others.flights import (
     ROWS,
     SOURCES,
@@ -173,9 +180,7 @@ def _level(variances: Array) -> tuple[float, float]:
 
 
 def _over_effective(flight: Flight, told: Told) -> tuple[float, float]:
-    stamps_ns, variances = told
-    after = np.searchsorted(flight.mission.stamps_ns, stamps_ns)
-    return _level(variances / flight.mission.q[np.minimum(after, len(flight.mission.q) - 1)])
+    return _level(over_effective(flight.mission, *told))
 
 
 def _rows(scores: Array, draws: statistics.Draws) -> list[dict[str, Any]]:

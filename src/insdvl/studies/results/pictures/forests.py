@@ -31,6 +31,7 @@ from insdvl.studies.results import breadth
 from insdvl.studies.results.others import tables as others
 from insdvl.studies.results.others.flights import DEFAULT
 from insdvl.studies.results.targets import Documents, row
+from insdvl.studies.results.vehicle_runs import HAND_SET, TOLD
 from insdvl.studies.results.withheld import FREE, TAUGHT, TAUGHT_CONSTANT
 
 #: Middle and ends of an interval.
@@ -109,7 +110,7 @@ def overview(documents: Documents) -> Forest | None:
     if "vehicle" in documents:
         for name, injected in documents["vehicle"]["injections"].items():
             groups[f"recordings, noise injected: {name}"] = _of_vehicle(
-                injected["ratio_to"]["told"], "body_velocity_rmse", rows
+                injected["ratio_to"][TOLD], "body_velocity_rmse", rows
             )
     groups = {name: ratios for name, ratios in groups.items() if ratios}
     white = _largest(_simulated(groups, SCENARIOS), DEFAULT)
@@ -132,7 +133,7 @@ def _simulated(groups: Groups, scenarios: Iterable[str]) -> Groups:
 
 def _spectrum(documents: Documents) -> Forest | None:
     rows = _styles(
-        *(DEFAULT, BANDS, BANDS_WITH_FACTOR, FACTOR_WITH_R, FACTOR_WITH_ERROR),
+        *(BANDS, BANDS_WITH_FACTOR, FACTOR_WITH_R, FACTOR_WITH_ERROR),
         *(CLOSED_FORM, LEAST_BAND, VARIATIONAL, BEST_CONSTANT),
     )
     groups = {
@@ -195,7 +196,7 @@ def _vehicle(documents: Documents) -> Forest | None:
     if "vehicle" not in documents:
         return None
     rows = _styles(DEFAULT, BANDS, BANDS_WITH_FACTOR, CLOSED_FORM)
-    ratios = documents["vehicle"]["as_recorded"]["ratio_to"]["hand-set"]
+    ratios = documents["vehicle"]["as_recorded"]["ratio_to"][HAND_SET]
     metrics = {
         "body velocity": "body_velocity_rmse",
         "horizontal position": "position_rmse_horizontal",
