@@ -313,3 +313,12 @@ CLAIMS: dict[str, Callable[[], Sequence[float]]] = {
 @pytest.mark.parametrize("claim", CLAIMS)
 def test_a_sentence_has_the_numbers_of_the_study(claim: str) -> None:
     check(claim, (DOCS / "results" / "README.md").read_text(), CLAIMS[claim]())
+
+
+def test_only_what_the_dvl_taught_without_floors_predicts_it_better() -> None:
+    better = {
+        name
+        for name, lengths in numbers()["withheld"]["against_hand_set"].items()
+        if all(of["error"][0] < 1.0 and of["log_likelihood"][0] > 0.0 for of in lengths.values())
+    }
+    assert better == {"taught, no floor", "taught constant, no floor"}
