@@ -1,7 +1,7 @@
 """A whole mission: truth, IMU, DVL, depth and heading of one vehicle and one seed."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TypeAlias
 
@@ -97,6 +97,18 @@ class Mission:
     heading_stamps_ns: Stamps
     attitude: Array
     heading: HeadingModel
+
+    def without_outliers(self) -> "Mission":
+        """The same mission where the DVL readings that are outliers are missing."""
+        good = ~self.dvl_outlier
+        return replace(
+            self,
+            noise=replace(self.noise, white_r=self.noise.white_r[good]),
+            dvl_stamps_ns=self.dvl_stamps_ns[good],
+            v_d=self.v_d[good],
+            r=self.r[good],
+            dvl_outlier=self.dvl_outlier[good],
+        )
 
     def process_noise(self, every_ns: int = NS) -> tuple[Stamps, Array]:
         """Stamps (K,) and the variances (K, 6) that apply from each stamp on.

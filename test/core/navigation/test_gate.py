@@ -21,6 +21,7 @@ from insdvl.navigation.parameters import (
     OriginParameters,
     ProcessNoiseParameters,
 )
+from insdvl.navigation.state.fields import NEVER
 from insdvl.simulation.initial_errors import P_0, drawn_initial
 from insdvl.simulation.mission import ImuModel, Mission, simulate
 from insdvl.simulation.noise import constant, segments
@@ -277,6 +278,34 @@ def test_a_filter_that_nothing_has_borne_out_rejects_once() -> None:
     k = int(np.searchsorted(m.stamps_ns, m.dvl_stamps_ns[0]))
     assert np.abs(in_sigmas(result, m)[k]).max() < 3.0
     assert np.abs(body_velocity_error(result, m)[-1]).max() < 5 * DVL_STD
+
+
+def test_a_second_measurement_that_is_off_is_soon_forgotten() -> None:
+    """The third is back where the filter still is: one fault of the DVL explains both.
+
+    The filter has given in to the second, which nothing spoke against, but has not believed it.
+    """
+    m = mission()
+    v_d = m.v_d.copy()
+    v_d[1] += [3.0, 0.0, 0.0]
+    settings = parameters(max_rejection_time=60.0)
+    result = fly(settings, m, v_d)
+    assert [u.report.reason for u in result.updates] == ["", "gate"] + [""] * 58
+    assert result.states["gate"]["dvl"]["doubt_from_ns"][-1] == NEVER
+    # From the third on it knows what that says, and is right about how well.
+    k = int(np.searchsorted(m.stamps_ns, m.dvl_stamps_ns[2])) + 1
+    assert np.sqrt(np.diag(P15(result.states[k]))[VELOCITY]).max() < 1.1 * DVL_STD
+    assert np.abs(in_sigmas(result, m)).max() < 4.0
+
+
+def test_a_second_and_a_third_that_are_off_leave_the_dvl_in_doubt() -> None:
+    """Each in a direction of its own: the third is away from the second, but not back."""
+    m = mission()
+    v_d = m.v_d.copy()
+    v_d[1:3] += [[3.0, 0.0, 0.0], [0.0, -3.0, 1.5]]
+    result = fly(parameters(max_rejection_time=60.0), m, v_d)
+    assert result.states["gate"]["dvl"]["doubt_from_ns"][-1] != NEVER
+    assert np.abs(in_sigmas(result, m)).max() < 4.0
 
 
 @pytest.mark.parametrize("outage", [0, 6, 20])

@@ -20,15 +20,16 @@ from insdvl.studies.results.page import pages
 
 RUNS, SEED = 2, 4
 PAIRED = "bottom-fog", "gate off"
+LEFT_OUT = "bottom-fog", "gate on, outliers left out"
 
 
 def planned() -> dict[study.Key, Any]:
-    """Short missions of one vehicle in two conditions."""
+    """Short missions of one vehicle in three conditions."""
     rows = ("R nominal", "R adaptive", "R adaptive with factor", "R oracle")
     return {
         key: replace(plan, duration=20.0, rows=rows)
         for key, plan in study.plans(RUNS, SEED).items()
-        if key in (PAIRED, ("bottom-fog", "a hundred times Q"))
+        if key in (PAIRED, LEFT_OUT, ("bottom-fog", "a hundred times Q"))
     }
 
 
@@ -44,7 +45,7 @@ def page_of(document: dict[str, Any]) -> str:
 
 def made(value: Callable[[str, str, str, str], list[float] | None]) -> dict[str, Any]:
     """A document with all comparisons, and a ratio for each scenario, condition, row, reference."""
-    references = (*study.REFERENCES, study.PLAIN)
+    references = (*study.REFERENCES, *study.OWN_REFERENCES)
     return {
         "runs": RUNS,
         "seed": SEED,
@@ -79,24 +80,28 @@ def made(value: Callable[[str, str, str, str], list[float] | None]) -> dict[str,
 def test_each_vehicle_meets_each_condition() -> None:
     found = study.plans(RUNS, SEED)
     assert {
-        (plan.scenario, s.sensors.dvl_rate, s.gate, s.sensors.outliers, s.q_factor)
+        (
+            *(plan.scenario, plan.setting.sensors.dvl_rate, plan.setting.gate),
+            *(plan.setting.sensors.outliers, plan.setting.sensors.outliers_missing),
+            plan.setting.q_factor,
+        )
         for plan in found.values()
-        for s in [plan.setting]
     } == {
         (*vehicle, *condition)
         for vehicle in (("bottom-tactical", 5.0), ("bottom-fog", 1.0))
         for condition in (
-            *((False, 0.0, 1.0), (True, 0.0, 1.0), (True, 0.05, 1.0)),
-            *((False, 0.0, 0.01), (False, 0.0, 100.0)),
+            *((False, 0.0, False, 1.0), (True, 0.0, False, 1.0)),
+            *((True, 0.05, False, 1.0), (True, 0.05, True, 1.0)),
+            *((False, 0.0, False, 0.01), (False, 0.0, False, 100.0)),
         )
     }
     assert {plan.setting.sensors.dvl_std for plan in found.values()} == {0.05}
     # The store keeps the runs by the label.
-    assert len({plan.label for plan in found.values()}) == len(found) == 10
+    assert len({plan.label for plan in found.values()}) == len(found) == 12
 
 
 def test_the_conditions_of_a_vehicle_have_the_same_missions() -> None:
-    """But for what is added to the outliers."""
+    """But for what is added to the outliers, or that these are missing."""
     for scenario in study.RATES:
         missions, starts = [], []
         for (name, _), plan in study.plans(RUNS, SEED).items():
@@ -106,11 +111,18 @@ def test_the_conditions_of_a_vehicle_have_the_same_missions() -> None:
                 starts.append(initial_of_run(missions[-1], of, TEST, 1))
         first = missions[0]
         assert sum(m.dvl_outlier.any() for m in missions) == 1
+        (spoilt,) = [m for m in missions if m.dvl_outlier.any()]
+        (left_out,) = [m for m in missions if len(m.v_d) < len(first.v_d)]
+        np.testing.assert_array_equal(
+            left_out.dvl_stamps_ns, first.dvl_stamps_ns[~spoilt.dvl_outlier]
+        )
         for m, start in zip(missions, starts, strict=True):
             np.testing.assert_array_equal(m.f_b, first.f_b)
             np.testing.assert_array_equal(m.w_ib_b, first.w_ib_b)
-            np.testing.assert_array_equal(m.v_d[~m.dvl_outlier], first.v_d[~m.dvl_outlier])
-            off = np.linalg.norm((m.v_d - first.v_d)[m.dvl_outlier], axis=1)
+            same = np.isin(first.dvl_stamps_ns, m.dvl_stamps_ns)
+            for had, has in ((first.v_d, m.v_d), (first.r, m.r)):
+                np.testing.assert_array_equal(has[~m.dvl_outlier], had[same][~m.dvl_outlier])
+            off = np.linalg.norm((m.v_d - first.v_d[same])[m.dvl_outlier], axis=1)
             np.testing.assert_allclose(off, 1.0)
             np.testing.assert_array_equal(start.v, starts[0].v)
             np.testing.assert_array_equal(start.C_o_b, starts[0].C_o_b)
@@ -129,9 +141,9 @@ def compared(**errors: list[float | None]) -> dict[str, Any]:
     }
 
 
-def ratios_of(here: dict[str, Any], plain: dict[str, Any]) -> dict[str, Any]:
+def ratios_of(here: dict[str, Any], own: dict[str, dict[str, Any]]) -> dict[str, Any]:
     draws = statistics.resamples(np.arange(3), np.random.default_rng(1))
-    rows = study._rows(here, plain, draws)
+    rows = study._rows(here, own, draws)
     return {row["approach"]: row["ratio_to"] for row in rows}
 
 
@@ -139,9 +151,11 @@ def test_ratios_are_paired_by_mission_also_across_conditions() -> None:
     """A row that is 10 % worse in every mission is so in every resample."""
     here = compared(R_nominal=[2.2, 1.1, 11.0], R_oracle=[2.0, 1.0, 10.0])
     plain = compared(R_nominal=[1.1, 0.55, 5.5], R_oracle=[2.0, 2.0, 2.0])
-    found = ratios_of(here, plain)
+    left_out = compared(R_nominal=[0.55, 0.275, 2.75], R_oracle=[2.0, 2.0, 2.0])
+    found = ratios_of(here, {"gate off": plain, "left out": left_out})
     np.testing.assert_allclose(found["R nominal"]["R oracle"], 1.1)
     np.testing.assert_allclose(found["R nominal"]["gate off"], 2.0)
+    np.testing.assert_allclose(found["R nominal"]["left out"], 4.0)
     middle, low, high = found["R oracle"]["gate off"]
     assert middle == pytest.approx(13.0 / 6.0)
     assert low == pytest.approx(0.5) and high == pytest.approx(5.0)
@@ -150,7 +164,7 @@ def test_ratios_are_paired_by_mission_also_across_conditions() -> None:
 def test_a_row_that_has_failed_has_no_ratio() -> None:
     here = compared(R_nominal=[2.2, None, 11.0], R_oracle=[2.0, 1.0, 10.0])
     plain = compared(R_nominal=[1.1, 0.55, 5.5], R_oracle=[2.0, 2.0, None])
-    found = ratios_of(here, plain)
+    found = ratios_of(here, {"gate off": plain})
     assert found["R nominal"] == {"R oracle": None, "R nominal": None, "gate off": None}
     assert found["R oracle"]["R nominal"] is None
     assert found["R oracle"]["gate off"] is None
@@ -158,16 +172,17 @@ def test_a_row_that_has_failed_has_no_ratio() -> None:
 
 
 def test_the_ratios_are_those_of_the_runs(document: dict[str, Any]) -> None:
-    plain, large = document["comparisons"]
-    for one in (plain, large):
+    plain, left_out, large = document["comparisons"]
+    for one in (plain, left_out, large):
         for row in one["rows"]:
             mean = np.mean(one["per_run"][row["approach"]])
             assert row["body_rmse"] == pytest.approx(mean, rel=1e-5)
             for reference in study.REFERENCES:
                 expected = mean / np.mean(one["per_run"][reference])
                 assert row["ratio_to"][reference][0] == pytest.approx(expected)
-            own = mean / np.mean(plain["per_run"][row["approach"]])
-            assert row["ratio_to"]["gate off"][0] == pytest.approx(own)
+            for reference, of in (("gate off", plain), (LEFT_OUT[1], left_out)):
+                own = mean / np.mean(of["per_run"][row["approach"]])
+                assert row["ratio_to"][reference][0] == pytest.approx(own)
 
 
 # ---------------------------------------------------------------- the page
@@ -179,7 +194,8 @@ def line_of(text: str, *words: str) -> list[str]:
 
 
 def name_of(limit: Limit, row: str) -> str:
-    reference = "itself with gate off" if limit.reference == "gate off" else f"`{limit.reference}`"
+    own = limit.reference.startswith("gate")
+    reference = f"itself with {limit.reference}" if own else f"`{limit.reference}`"
     where = f"`{limit.scenario}`, {limit.condition}"
     return f"{where}: `{row}` over {reference}, at most {limit.limit:.2f}"
 
@@ -216,8 +232,7 @@ def test_the_targets_are_those_that_were_set() -> None:
     assert limits.pop(("bottom-fog", "gate off", "R oracle")) == 1.10
     for scenario in ("bottom-tactical", "bottom-fog"):
         assert limits.pop((scenario, "gate on", "gate off")) == 1.02
-        for reference in ("R oracle", "gate off"):
-            assert limits.pop((scenario, "gate on, outliers", reference)) == 1.05
+        assert limits.pop((scenario, "gate on, outliers", LEFT_OUT[1])) == 1.05
         for q in ("a hundredth of Q", "a hundred times Q"):
             assert limits.pop((scenario, q, "R nominal")) == 1.02
     assert limits == {}
@@ -242,8 +257,8 @@ def test_what_has_failed_meets_no_target() -> None:
 def test_the_page_has_the_numbers_of_the_document(document: dict[str, Any]) -> None:
     text = page_of(document)
     assert f"{RUNS} missions of each vehicle, seed {SEED}." in text
-    plain, large = document["comparisons"]
-    for a, b in zip(plain["rows"], large["rows"], strict=True):
+    plain, left_out, large = document["comparisons"]
+    for a, c, b in zip(plain["rows"], left_out["rows"], large["rows"], strict=True):
         lines = [
             line.strip("| ").split(" | ")[1:]
             for line in text.splitlines()
@@ -255,8 +270,8 @@ def test_the_page_has_the_numbers_of_the_document(document: dict[str, Any]) -> N
                 expected.append([ratio_text(row["ratio_to"][reference]) for row in (a, b)])
         expected.append([f"{row['nees_velocity']:.2f}" for row in (a, b)])
         assert [[cells[0], cells[-1]] for cells in lines] == expected
-        own = ratio_text(b["ratio_to"]["gate off"])
-        assert f"| `{a['approach']}` | – | – | – | {own} |" in text
+        own, other = (ratio_text(row["ratio_to"]["gate off"]) for row in (b, c))
+        assert f"| `{a['approach']}` | – | – | {other} | – | {own} |" in text
 
 
 def ratio_text(found: list[float]) -> str:

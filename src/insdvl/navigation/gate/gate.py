@@ -233,15 +233,22 @@ class Gate:
         return 2.0 * now.R + drift + 1e-9 * np.trace(now.R) * np.eye(len(now.R))
 
     def _step(self, s: State, stamp_ns: int, now: Innovated) -> int:
-        """Whether the sensor has jumped: the IMU has not seen the step since the last accepted.
-
-        Otherwise the filter has drifted. In an outage or a gap there may have been a step.
-        """
+        """Whether the sensor has jumped since the last accepted measurement, see `_step_from`."""
         g = self._memory(s)
-        interval_ns = stamp_ns - int(g["accepted_ns"])
-        if g["accepted_ns"] == NEVER or interval_ns > LEAST_PATIENCE_NS or self._has_gap(s):
+        return self._step_from(s, int(g["accepted_ns"]), g["left"], stamp_ns, now)
+
+    def _step_from(
+        self, s: State, earlier_ns: int, innovation: Array, stamp_ns: int, now: Innovated
+    ) -> int:
+        """Whether the sensor has jumped: the IMU has not seen the step from an earlier innovation.
+
+        Nothing has been corrected in between. Otherwise the filter has drifted. In an outage or a
+        gap there may have been a step.
+        """
+        interval_ns = stamp_ns - earlier_ns
+        if earlier_ns == NEVER or interval_ns > LEAST_PATIENCE_NS or self._has_gap(s):
             return UNKNOWN
-        step = now.innovation - g["left"][: self._model.rows]
+        step = now.innovation - innovation[: self._model.rows]
         S_step = self._step_covariance(s, interval_ns, now)
         return STEP if step @ np.linalg.solve(S_step, step) > self._limits[now.rows] else NO_STEP
 
@@ -315,10 +322,14 @@ class Gate:
         The IMU has seen neither jump. One fault of the sensor explains both.
         """
         g, m = self._memory(s), self._model.rows
-        claim = g["claim"][:m]
-        step = now.innovation - g["left"][:m]
-        returns = bool(step @ claim < -RETURNS * claim @ claim)
-        return returns and self._step(s, stamp_ns, now) == STEP
+        claim, left = g["claim"][:m], g["left"][:m]
+        jumped = self._step(s, stamp_ns, now) == STEP
+        gave_in_ns = int(g["gave_in_ns"])
+        if g["accepted_ns"] < gave_in_ns:
+            # The claim has corrected nothing: the sensor is back where the filter still is.
+            back = now.innovation @ now.innovation < RETURNS**2 * claim @ claim and not jumped
+            return back and self._step_from(s, gave_in_ns, claim, stamp_ns, now) == STEP
+        return jumped and (now.innovation - left) @ claim < -RETURNS * claim @ claim
 
     def _take_back(self, s: State, stamp_ns: int, now: Innovated, R: Array) -> Innovated:
         """The measurement without the doubt, if the sensor takes back what it is doubted for."""

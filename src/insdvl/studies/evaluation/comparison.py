@@ -80,6 +80,8 @@ class Plan:
             parts.append(f"DVL of {sensors.dvl_std:g} m per s")
         if sensors.outliers:
             parts.append(f"outliers {sensors.outliers:g}")
+        if sensors.outliers_missing:
+            parts.append("missing")
         return ", ".join(parts)
 
     @property

@@ -77,7 +77,7 @@ class Study:
 
 def mission_of_run(study: Study, split: int, run: int) -> Mission:
     """The mission of a run, the same for all approaches."""
-    return simulate(
+    mission = simulate(
         AUV,
         study.noise,
         seed=stream_of_run(study, split, run),
@@ -85,6 +85,7 @@ def mission_of_run(study: Study, split: int, run: int) -> Mission:
         imu=study.sensors.imu,
         dvl=study.dvl,
     )
+    return mission.without_outliers() if study.sensors.outliers_missing else mission
 
 
 def stream_of_run(study: Study, split: int, run: int) -> np.random.SeedSequence:

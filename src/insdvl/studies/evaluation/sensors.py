@@ -18,6 +18,8 @@ class Sensors:
         dvl_std: Noise of each component of a ping on the DVL's data sheet, one sigma [m/s].
         dvl_rate: Pings per second.
         outliers: Probability that a ping is off by `OUTLIER`.
+        outliers_missing: Whether the pings that are off are missing instead, and all others are the
+            same.
         imu_grade: Key of `GRADES`, of the IMU of a scenario of `DRAWN`; empty for that of the
             scenario. The filter knows its turn-on biases, which do not walk.
         outage: Length of the outages of the DVL [s], see `outages`; 0 for none.
@@ -26,6 +28,7 @@ class Sensors:
     dvl_std: float = 0.1
     dvl_rate: float = 1.0
     outliers: float = 0.0
+    outliers_missing: bool = False
     imu_grade: str = ""
     outage: float = 0.0
 

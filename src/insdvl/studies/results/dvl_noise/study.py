@@ -5,6 +5,7 @@ filters are told, or add errors to some pings. So rows of two conditions are pai
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -34,15 +35,34 @@ TACTICAL, FOG = "bottom-tactical", "bottom-fog"
 RATES: Mapping[str, float] = {TACTICAL: 5.0, FOG: 1.0}
 STD = 0.05  # m/s, on the data sheet of the DVL
 
-PLAIN, GATE, OUTLIERS = "gate off", "gate on", "gate on, outliers"
+
+@dataclass(frozen=True)
+class Condition:
+    """What a comparison is made with.
+
+    Attributes:
+        gate: Whether the filters have a gate.
+        outliers: Probability that a ping is off.
+        outliers_missing: Whether the pings that are off are missing instead.
+        q_factor: On the true Q.
+    """
+
+    gate: bool = False
+    outliers: float = 0.0
+    outliers_missing: bool = False
+    q_factor: float = 1.0
+
+
+PLAIN, GATE = "gate off", "gate on"
+OUTLIERS, LEFT_OUT = "gate on, outliers", "gate on, outliers left out"
 SMALL_Q, LARGE_Q = "a hundredth of Q", "a hundred times Q"
-#: Gate, probability of an outlier, and factor on the true Q, of each condition.
-CONDITIONS: Mapping[str, tuple[bool, float, float]] = {
-    PLAIN: (False, 0.0, 1.0),
-    GATE: (True, 0.0, 1.0),
-    OUTLIERS: (True, 0.05, 1.0),
-    SMALL_Q: (False, 0.0, 0.01),
-    LARGE_Q: (False, 0.0, 100.0),
+CONDITIONS: Mapping[str, Condition] = {
+    PLAIN: Condition(),
+    GATE: Condition(gate=True),
+    OUTLIERS: Condition(gate=True, outliers=0.05),
+    LEFT_OUT: Condition(gate=True, outliers=0.05, outliers_missing=True),
+    SMALL_Q: Condition(q_factor=0.01),
+    LARGE_Q: Condition(q_factor=100.0),
 }
 #: In the order of the tables.
 ROWS = (
@@ -50,9 +70,11 @@ ROWS = (
     *(R_ADAPTIVE, R_ADAPTIVE_RECEIVED, R_ADAPTIVE_WITH_FACTOR, R_ORACLE),
 )
 #: Conditions with the rows that receive R: the tuner of these takes long.
-_RECEIVING = (PLAIN, OUTLIERS)
+_RECEIVING = (PLAIN, OUTLIERS, LEFT_OUT)
 #: Rows of the same comparison that all rows are compared with.
 REFERENCES = (R_ORACLE, R_NOMINAL)
+#: Conditions that the same row is compared with.
+OWN_REFERENCES = (PLAIN, LEFT_OUT)
 
 _BOOTSTRAP = 9002  # key of the random stream
 _ERROR = "body_rmse"
@@ -69,20 +91,25 @@ def plans(runs: int, seed: int) -> dict[Key, Plan]:
         seed: Random seed of the missions.
     """
     return {
-        (scenario, condition): Plan(
+        (scenario, name): Plan(
             scenario,
             Setting(
                 "calibrated",
-                gate=gate,
-                q_factor=q_factor,
-                sensors=Sensors(dvl_std=STD, dvl_rate=rate, outliers=outliers),
+                gate=condition.gate,
+                q_factor=condition.q_factor,
+                sensors=Sensors(
+                    dvl_std=STD,
+                    dvl_rate=rate,
+                    outliers=condition.outliers,
+                    outliers_missing=condition.outliers_missing,
+                ),
             ),
             runs,
             seed=seed,
-            rows=tuple(row for row in ROWS if row not in R_RECEIVED or condition in _RECEIVING),
+            rows=tuple(row for row in ROWS if row not in R_RECEIVED or name in _RECEIVING),
         )
         for scenario, rate in RATES.items()
-        for condition, (gate, outliers, q_factor) in CONDITIONS.items()
+        for name, condition in CONDITIONS.items()
     }
 
 
@@ -108,7 +135,9 @@ def study_dvl_noise(
                 "scenario": scenario,
                 "condition": condition,
                 "paired_runs": document["paired_runs"],
-                "rows": _rows(document, found[scenario, PLAIN], draws),
+                "rows": _rows(
+                    document, {name: found[scenario, name] for name in OWN_REFERENCES}, draws
+                ),
                 "per_run": document["per_run"][_ERROR],
             }
             for (scenario, condition), document in found.items()
@@ -117,9 +146,9 @@ def study_dvl_noise(
 
 
 def _rows(
-    document: Mapping[str, Any], plain: Mapping[str, Any], draws: statistics.Draws
+    document: Mapping[str, Any], own: Mapping[str, Mapping[str, Any]], draws: statistics.Draws
 ) -> list[dict[str, Any]]:
-    """Numbers of the rows of a comparison; `plain` is that of the condition `PLAIN`."""
+    """Numbers of the rows of a comparison; `own` are those of the `OWN_REFERENCES`."""
 
     def errors(of: Mapping[str, Any], row: str) -> Array:
         return np.array(of["per_run"][_ERROR][row], dtype=np.float64)  # nan for a failure
@@ -139,7 +168,7 @@ def _rows(
                 "nees_velocity": numbers["nees_per_dof"]["velocity"],
                 "ratio_to": {
                     **{one: ratio(row, errors(document, one)) for one in REFERENCES},
-                    PLAIN: ratio(row, errors(plain, row)),
+                    **{name: ratio(row, errors(of, row)) for name, of in own.items()},
                 },
             }
         )

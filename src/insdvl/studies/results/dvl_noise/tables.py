@@ -5,7 +5,14 @@ from typing import Any
 
 from insdvl.studies.evaluation.approaches import R_NOMINAL, R_ORACLE
 from insdvl.studies.report.markdown import interval, number, table
-from insdvl.studies.results.dvl_noise.study import CONDITIONS, PLAIN, RATES, ROWS
+from insdvl.studies.results.dvl_noise.study import (
+    CONDITIONS,
+    LEFT_OUT,
+    OUTLIERS,
+    PLAIN,
+    RATES,
+    ROWS,
+)
 
 
 def row_of(
@@ -46,6 +53,8 @@ def noise_tables(document: Mapping[str, Any]) -> str:
             _lines(document, scenario, _to(R_NOMINAL), without=(R_NOMINAL,)),
             f"Over that of the same row with {PLAIN}.\n",
             _lines(document, scenario, _to(PLAIN), conditions=tuple(CONDITIONS)[1:]),
+            f"Over that of the same row with {LEFT_OUT}.\n",
+            _lines(document, scenario, _to(LEFT_OUT), conditions=(OUTLIERS,)),
             "NEES of the velocity per degree of freedom; 1 for a filter that is right about "
             "itself, above 1 for one that is overconfident.\n",
             _lines(document, scenario, lambda row: number(row["nees_velocity"], 2)),
