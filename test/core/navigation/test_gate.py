@@ -298,14 +298,16 @@ def test_a_second_measurement_that_is_off_is_soon_forgotten() -> None:
     assert np.abs(in_sigmas(result, m)).max() < 4.0
 
 
-def test_a_second_and_a_third_that_are_off_leave_the_dvl_in_doubt() -> None:
-    """Each in a direction of its own: the third is away from the second, but not back."""
+def test_a_filter_that_nothing_has_borne_out_does_not_doubt_the_dvl_for_long() -> None:
+    """Second and third are off, each in its own direction: away from one another, but not back."""
     m = mission()
     v_d = m.v_d.copy()
     v_d[1:3] += [[3.0, 0.0, 0.0], [0.0, -3.0, 1.5]]
     result = fly(parameters(max_rejection_time=60.0), m, v_d)
     assert result.states["gate"]["dvl"]["doubt_from_ns"][-1] != NEVER
     assert np.abs(in_sigmas(result, m)).max() < 4.0
+    k = int(np.searchsorted(m.stamps_ns, m.dvl_stamps_ns[8])) + 1
+    assert np.sqrt(np.diag(P15(result.states[k]))[VELOCITY]).max() < 1.1 * DVL_STD
 
 
 @pytest.mark.parametrize("outage", [0, 6, 20])

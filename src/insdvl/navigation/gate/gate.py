@@ -291,10 +291,10 @@ class Gate:
         """Doubt the state by as much as the innovation, and the sensor as well if it has jumped.
 
         Then its error is as likely as the filter's. If the filter was trusted, that error would
-        last: all measurements of the doubt weigh as a single one. If the filter was not, and gave
-        in a moment ago, the sensor alternates: the state stays between its values. If it was
-        trusted and gave in a moment ago, what it has believed since may have turned it: its tilt is
-        doubted instead of the sensor.
+        last: all measurements of the doubt weigh as a single one. If the filter was not, little
+        speaks for it, and the doubt is short; but if it gave in a moment ago, the sensor alternates,
+        and the state stays between its values. If it was trusted and gave in a moment ago, what it
+        has believed since may have turned it: its tilt is doubted instead of the sensor.
         """
         g, m = self._memory(s), self._model.rows
         claim, trusted = g["claim"][:m], g["patient_for"] > LEAST_PATIENCE_NS
@@ -309,7 +309,8 @@ class Gate:
             if trusted:
                 count = max(self._patience_ns / (stamp_ns - int(g["judged_ns"])), 1.0)
             error = np.sqrt(count) * np.linalg.norm(now.innovation)
-            _doubt(g, error, stamp_ns, self._patience_ns)
+            most_ns = self._patience_ns if trusted or again else LEAST_PATIENCE_NS
+            _doubt(g, error, stamp_ns, min(most_ns, self._patience_ns))
         claim[:] = 0.0 if back or again else now.innovation
         g["trusted_for"], g["gave_in_ns"] = 0, stamp_ns
         g["inflations"] += 1
