@@ -292,9 +292,10 @@ class Gate:
 
         Then its error is as likely as the filter's. If the filter was trusted, that error would
         last: all measurements of the doubt weigh as a single one. If the filter was not, little
-        speaks for it, and the doubt is short; but if it gave in a moment ago, the sensor alternates,
-        and the state stays between its values. If it was trusted and gave in a moment ago, what it
-        has believed since may have turned it: its tilt is doubted instead of the sensor.
+        speaks for it, and the doubt is short; but if it gave in a moment ago, the sensor
+        alternates, and the state stays between its values. If it was trusted and gave in a moment
+        ago, what it has believed since may have turned it: its tilt is doubted instead of the
+        sensor.
         """
         g, m = self._memory(s), self._model.rows
         claim, trusted = g["claim"][:m], g["patient_for"] > LEAST_PATIENCE_NS

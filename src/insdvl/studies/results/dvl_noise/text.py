@@ -19,12 +19,10 @@ that the tuner publishes is in the place of the own window's. *With factor* has
 of each ping. A row fails in a mission where its body velocity is off by more than 5 m/s for 10 s.
 
 All rows are told the true Q, or a hundredth of it, or a hundred times as much. With *outliers* one
-ping in twenty is off by 1 m/s in a random direction, and no row is told which. The target for them
-is 1.05 of the run without those pings, and two ratios judge it. The oracle loses the same pings to
-its gate: the ratio to the oracle with the same outliers shows what it costs to learn R. The ratio
-to the same row with the gate off, without outliers, also shows what the lost pings cost. All
-conditions of a vehicle have the same missions and the same noise, so ratios of two conditions are
-paired by mission as well.
+ping in twenty is off by 1 m/s in a random direction, and no row is told which; with *outliers left
+out* these pings are missing. The ratio of the two shows what the outliers do. The ratio to the same
+row with the gate off also shows what the lost pings cost. All conditions of a vehicle have the same
+missions and the same noise, so ratios of two conditions are paired by mission as well.
 """
 
 #: A test holds each number of it against the committed JSON file.
@@ -33,12 +31,11 @@ Told the true Q, `R adaptive` has 1.019 of the oracle's error at 5 Hz and 1.057 
 `R nominal` has 1.123 and 1.170. It meets both targets, with the factor and without. `R learned` has
 1.073 and 1.164, and misses both. The gate changes the error of these rows by 0.1 % at most. The
 gate of `R nominal` refuses good pings above a bad bottom: it fails in 2 and 2 missions, and where
-no row fails it has 0.0477 and 0.0626 m/s, in place of 0.0187 and 0.0332 m/s with the gate off. With
-outliers `R adaptive` has 1.139 and 1.238 of its error with the gate off, and the oracle 1.186 and
-1.256, so both miss the target of 1.05. The median mission has 1.023 and 1.025; the means are made
-by the missions whose second ping is off, when nothing has borne the filter out yet. Over the oracle
-with the same outliers `R adaptive` has 0.979 and 1.042. The second misses the target too, since to
-learn R costs as much at 1 Hz without outliers. With a wrong Q it meets the target everywhere: with
-a hundredth of Q at 5 Hz it has 0.986 of the error of `R nominal`, and 0.942 with the factor. There
-`R learned` has 1.007, and misses it at the end of the interval.
+no row fails it has 0.0468 and 0.0606 m/s, in place of 0.0187 and 0.0332 m/s with the gate off. With
+outliers `R adaptive` has 1.027 and 1.016 of its error without those pings, and the oracle 1.020 and
+1.014. The target of 1.05 is met at 1 Hz, and missed at 5 Hz by the end of the interval, 1.064. One
+mission makes it, whose second and third ping are off, when nothing has borne the filter out yet:
+without it the ratio is 1.010. With a wrong Q it meets the target everywhere: with a hundredth of Q
+at 5 Hz it has 0.986 of the error of `R nominal`, and 0.942 with the factor. There `R learned` has
+1.007, and misses it at the end of the interval.
 """
