@@ -11,7 +11,8 @@ from insdvl.jobs.options import Workers
 from insdvl.jobs.pool import open_pool
 from insdvl.jobs.store import Store
 from insdvl.studies.evaluation import comparison
-from insdvl.studies.results import breadth
+from insdvl.studies.results.breadth import study as breadth
+from insdvl.studies.results.breadth.tables import ratio
 from insdvl.studies.results.page import pages
 
 
@@ -93,7 +94,7 @@ def line_of(text: str, *words: str) -> str:
 
 def test_the_page_has_the_numbers_of_the_document(document: dict) -> None:
     text = page_of(document)
-    oracle = breadth.row_of(comparison_of(document, "fog", 1.0, 60.0), "oracle")
+    oracle = row_of(comparison_of(document, "fog", 1.0, 60.0), "oracle")
     lines = [x for x in text.splitlines() if x.startswith("| `coloured`, fog, 60 s |")]
     assert f"| {oracle['outage_drift']:.3f} |" in lines[0]
     assert f"| {oracle['outage_velocity']:.3f} |" in lines[1]
@@ -103,8 +104,7 @@ def test_the_page_has_the_numbers_of_the_document(document: dict) -> None:
     slow = comparison_of(document, "mems", 0.2, 0.0)
     lines = [x for x in text.splitlines() if x.startswith("| `coloured`, mems, 0.2 Hz |")]
     ratios = [
-        breadth.ratio(slow, name, "best constant", "body_rmse")
-        for name in ("bands", "bands with factor")
+        ratio(slow, name, "best constant", "body_rmse") for name in ("bands", "bands with factor")
     ]
     cells = [f"{middle:.3f} [{low:.3f}, {high:.3f}]" for middle, low, high in ratios]
     assert lines[0].endswith(f"| {' | '.join(cells)} |")

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from claims import check
 
-from insdvl.studies.results import breadth
+from insdvl.studies.results.breadth import tables as breadth
 from insdvl.studies.results.command import documents
 from insdvl.studies.results.targets import row
 

@@ -42,13 +42,13 @@ from insdvl.studies.evaluation.comparison import Plan, compare
 from insdvl.studies.report.plots import draw_errors_over_time
 from insdvl.studies.results import (
     accuracy,
-    breadth,
     page,
     recordings,
     vehicle,
     window,
     withheld,
 )
+from insdvl.studies.results.breadth import study as breadth
 from insdvl.studies.results.dvl_noise import study as dvl_noise
 from insdvl.studies.results.others import study as others
 from insdvl.studies.results.pictures.draw import draw

@@ -12,7 +12,8 @@ from insdvl.simulation.noise import SCENARIO_TEXTS, SCENARIOS
 from insdvl.studies.evaluation.tables import comparison_tables
 from insdvl.studies.report.markdown import interval, number, table
 from insdvl.studies.results.accuracy import accuracy_tables
-from insdvl.studies.results.breadth import outages_tables, rates_tables
+from insdvl.studies.results.breadth.tables import outages_tables, rates_tables
+from insdvl.studies.results.breadth.targets import OF_BREADTH
 from insdvl.studies.results.dvl_noise import text as dvl_noise
 from insdvl.studies.results.dvl_noise.study import RUNS
 from insdvl.studies.results.dvl_noise.tables import noise_tables
@@ -20,12 +21,11 @@ from insdvl.studies.results.dvl_noise.targets import OF_DVL_NOISE
 from insdvl.studies.results.others import text as others
 from insdvl.studies.results.others.study import RUNS as RUNS_OF_OTHERS
 from insdvl.studies.results.others.tables import others_tables
+from insdvl.studies.results.others.targets import OF_OTHERS
 from insdvl.studies.results.over_matched import over_matched
 from insdvl.studies.results.pictures.forests import forests
 from insdvl.studies.results.recorded.targets import OF_VEHICLE, OF_WITHHELD
 from insdvl.studies.results.targets import (
-    OF_BREADTH,
-    OF_OTHERS,
     OF_SPECTRUM,
     TARGETS,
     Documents,

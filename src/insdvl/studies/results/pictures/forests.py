@@ -27,7 +27,7 @@ from insdvl.studies.evaluation.approaches import (
     VARIATIONAL,
 )
 from insdvl.studies.judgement.withheld import WINDOWS
-from insdvl.studies.results import breadth
+from insdvl.studies.results.breadth import tables as breadth
 from insdvl.studies.results.others import tables as others
 from insdvl.studies.results.others.flights import DEFAULT
 from insdvl.studies.results.targets import Documents, row

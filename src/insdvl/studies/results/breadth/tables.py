@@ -1,107 +1,19 @@
-"""The comparison with other IMUs, other rates and noise of the DVL, and outages of the DVL.
-
-The scenarios are those whose noise is not white. Each grade of IMU meets each rate, a better DVL at
-1 Hz, and outages at 1 Hz: of a minute in all scenarios, shorter and longer ones in the one with
-everything together.
-"""
+"""The tables of the study."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-from itertools import product
 from typing import Any
 
-from insdvl.jobs.pool import Pool
-from insdvl.jobs.store import Store
-from insdvl.simulation.grades import GRADES
 from insdvl.studies.evaluation.approaches import (
     BANDS,
     BANDS_WITH_FACTOR,
     BEST_CONSTANT,
     CLOSED_FORM,
-    FACTOR_WITH_ERROR,
-    FACTOR_WITH_R,
-    LEAST_BAND,
     MATCHED,
     ORACLE,
-    Setting,
 )
-from insdvl.studies.evaluation.comparison import Plan, compare
 from insdvl.studies.evaluation.sensors import Sensors
 from insdvl.studies.report.markdown import interval, number, table
-
-SCENARIOS = ("vibrating", "coloured", "waves", "realistic")
-RATES = (5.0, 1.0, 0.2)  # Hz
-BETTER = 0.02  # m/s, sigma of the better DVL
-#: Lengths of the outages [s], in all scenarios and in the last.
-LENGTH, LENGTHS = 60.0, (30.0, 60.0, 120.0)
-RUNS = 10
-
-#: Learned Q and learned R, which has a meaning in `realistic`: R is not that of the data sheet.
-BOTH_LEARNED = (FACTOR_WITH_R, FACTOR_WITH_ERROR)
-#: In the order of the tables.
-_ROWS = (
-    *(BEST_CONSTANT, CLOSED_FORM, LEAST_BAND, BANDS, BANDS_WITH_FACTOR),
-    *(ORACLE, MATCHED, *BOTH_LEARNED),
-)
-#: Of a row of a comparison; the rest would repeat what follows from the numbers of the runs.
-_KEPT = (
-    *("failures", "body_rmse", "depth_rmse", "position_drift_percent"),
-    *("outage_velocity", "outage_drift", "outage_depth"),
-    *("nees_per_dof", "ratio_to"),
-)
-
-
-def rows_of(scenario: str) -> tuple[str, ...]:
-    """The rows of a comparison, in the order of the tables."""
-    return tuple(row for row in _ROWS if row not in BOTH_LEARNED or scenario == "realistic")
-
-
-def plans() -> list[Plan]:
-    """The comparisons: one for each line of the tables."""
-    found = []
-    for scenario, grade in product(SCENARIOS, GRADES):
-        lengths = LENGTHS if scenario == SCENARIOS[-1] else (LENGTH,)
-        vehicles = [Sensors(dvl_rate=rate, imu_grade=grade) for rate in RATES]
-        vehicles.append(Sensors(dvl_std=BETTER, imu_grade=grade))
-        vehicles += [Sensors(outage=length, imu_grade=grade) for length in lengths]
-        settings = [Setting("calibrated", sensors=sensors) for sensors in vehicles]
-        found += [Plan(scenario, setting, RUNS, rows=rows_of(scenario)) for setting in settings]
-    return found
-
-
-def study_breadth(
-    planned: Sequence[Plan], pool: Pool, store: Store | None = None
-) -> dict[str, Any]:
-    """The numbers of all comparisons.
-
-    Args:
-        planned: See `plans`; those with other numbers of runs differ in these only.
-        pool: Computes the runs.
-        store: Keeps finished runs; searches are the same with outages and without.
-    """
-    first = planned[0]
-    return {
-        "runs": first.runs,
-        "tuning_runs": first.tuning_runs,
-        "seed": first.seed,
-        "comparisons": [_condensed(compare(plan, pool, store).document) for plan in planned],
-    }
-
-
-def _condensed(document: Mapping[str, Any]) -> dict[str, Any]:
-    setting = document["plan"]["setting"]
-    return {
-        "scenario": document["plan"]["scenario"],
-        **{name: setting[name] for name in ("imu_grade", "dvl_rate", "dvl_std", "outage")},
-        "omitted": document["omitted"],
-        "paired_runs": document["paired_runs"],
-        "best_constant": document["searches"][BEST_CONSTANT]["best"],
-        "rows": [
-            {"approach": row["approach"]} | {name: row[name] for name in _KEPT if name in row}
-            for row in document["rows"]
-        ],
-        "per_run": document["per_run"],
-    }
+from insdvl.studies.results.breadth.study import ROWS
 
 
 def row_of(comparison: Mapping[str, Any], approach: str) -> Mapping[str, Any]:
@@ -122,9 +34,6 @@ def ratio(
     return found
 
 
-# ---------------------------------------------------------------- tables
-
-
 def rates_tables(document: Mapping[str, Any]) -> str:
     """The tables of the missions without outages."""
     comparisons = [one for one in document["comparisons"] if not one["outage"]]
@@ -138,7 +47,7 @@ def rates_tables(document: Mapping[str, Any]) -> str:
                 {
                     **{
                         f"NEES, {row}": _nees(row, "velocity")
-                        for row in _ROWS
+                        for row in ROWS
                         if row not in (CLOSED_FORM, MATCHED)
                     },
                     **{
@@ -163,10 +72,10 @@ def outages_tables(document: Mapping[str, Any]) -> str:
             "Velocity at the end of an outage: RMS of the oracle, and ratios.\n",
             _ratios(comparisons, "outage_velocity"),
             "Drift of the depth [m], RMS.\n",
-            _lines(comparisons, {row: _value(row, "outage_depth", 2) for row in _ROWS}),
+            _lines(comparisons, {row: _value(row, "outage_depth", 2) for row in ROWS}),
             "NEES per degree of freedom at the end of an outage: of the velocity, of the "
             "horizontal position, of the depth.\n",
-            _lines(comparisons, {row: _three(row) for row in _ROWS}),
+            _lines(comparisons, {row: _three(row) for row in ROWS}),
             _notes(document, comparisons),
         ]
     )
@@ -183,7 +92,7 @@ def _ratios(comparisons: Sequence[Mapping[str, Any]], metric: str, unit: str = "
         comparisons,
         {
             f"oracle [{unit}]": _value(ORACLE, metric, 3),
-            **{f"{row} / oracle": to(row, ORACLE) for row in _ROWS if row != ORACLE},
+            **{f"{row} / oracle": to(row, ORACLE) for row in ROWS if row != ORACLE},
             **{
                 f"{row} / {BEST_CONSTANT}": to(row, BEST_CONSTANT)
                 for row in (BANDS, BANDS_WITH_FACTOR)
@@ -240,13 +149,3 @@ def _notes(document: Mapping[str, Any], comparisons: Sequence[Mapping[str, Any]]
             lines.append(f"{name}: {paired} runs in which no row failed.")
         lines += [f"{name}: without {row} ({why})." for row, why in comparison["omitted"].items()]
     return "\n".join(lines) + "\n"
-
-
-def with_runs(
-    planned: Sequence[Plan], *, runs: int | None, tuning_runs: int, seed: int
-) -> list[Plan]:
-    """Plans with other numbers of runs; None leaves the number as it is."""
-    return [
-        replace(plan, runs=runs or plan.runs, tuning_runs=tuning_runs, seed=seed)
-        for plan in planned
-    ]

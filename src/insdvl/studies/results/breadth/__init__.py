@@ -1,0 +1,1 @@
+"""The comparison with other IMUs, other rates and noise of the DVL, and outages of the DVL."""
