@@ -298,16 +298,52 @@ def test_a_second_measurement_that_is_off_is_soon_forgotten() -> None:
     assert np.abs(in_sigmas(result, m)).max() < 4.0
 
 
-def test_a_filter_that_nothing_has_borne_out_does_not_doubt_the_dvl_for_long() -> None:
-    """Second and third are off, each in its own direction: away from one another, but not back."""
-    m = mission()
+X, Y = np.eye(3)[:2]
+#: Pings per second, pings that are missing, and what is added to others [m/s], by what happens.
+CLAIMS = {
+    "second and third, not alike": (1.0, None, {1: 3.0 * X, 2: 1.5 * X - 3.0 * Y}),
+    "second and fourth": (1.0, None, {1: 3.0 * X, 3: -3.0 * X}),
+    "second, fourth and fifth": (1.0, None, {1: 3.0 * X, 3: -3.0 * X, 4: -3.0 * X}),
+    "every second one": (1.0, None, dict.fromkeys(range(1, 20, 2), 3.0 * X)),
+    "second to eighth": (1.0, None, dict.fromkeys(range(1, 8), 3.0 * X)),
+    "two of a slow DVL": (0.2, None, dict.fromkeys(range(1, 3), X)),
+    "six behind an outage": (1.0, slice(100, 131), dict.fromkeys(range(132, 138), X)),
+    "after a rejection, elsewhere": (
+        *(1.0, None),
+        dict.fromkeys(range(30, 60), 3.0 * X) | dict.fromkeys(range(60, 65), 1.3 * Y),
+    ),
+    "first, then a bias": (1.0, None, {0: 3.0 * X} | dict.fromkeys(range(120, 145), -2.0 * X)),
+    "second, then a bias": (1.0, None, {1: 3.0 * X} | dict.fromkeys(range(120, 145), -2.0 * X)),
+}
+
+
+@pytest.mark.parametrize("which", CLAIMS)
+def test_what_a_dvl_claims_of_which_little_is_known_is_covered(which: str) -> None:
+    """Which pings are off; whom to believe cannot be known, but how much."""
+    rate, missing, off = CLAIMS[which]
+    m = mission(duration=190.0, rate=rate)
     v_d = m.v_d.copy()
-    v_d[1:3] += [[3.0, 0.0, 0.0], [0.0, -3.0, 1.5]]
+    for ping, error in off.items():
+        v_d[ping] += error
+    result = fly(parameters(max_rejection_time=60.0), m, v_d, without=missing)
+    assert np.abs(in_sigmas(result, m)).max() < 5.0
+    assert np.abs(body_velocity_error(result, m)[-1]).max() < 5 * DVL_STD
+
+
+def test_the_doubt_of_a_filter_without_trust_fades() -> None:
+    """Of 3 m/s, it halves in 10 s.
+
+    After 40 s the last ten pings alone, doubted by 0.4 m/s at most, tell the velocity to 0.12 m/s;
+    forty that are all doubted by 3 m/s would tell it to 0.5 m/s.
+    """
+    m = mission(duration=45.0)
+    v_d = m.v_d.copy()
+    v_d[1] += 3.0 * X
+    v_d[2] -= 3.0 * Y
     result = fly(parameters(max_rejection_time=60.0), m, v_d)
-    assert result.states["gate"]["dvl"]["doubt_from_ns"][-1] != NEVER
-    assert np.abs(in_sigmas(result, m)).max() < 4.0
-    k = int(np.searchsorted(m.stamps_ns, m.dvl_stamps_ns[8])) + 1
-    assert np.sqrt(np.diag(P15(result.states[k]))[VELOCITY]).max() < 1.1 * DVL_STD
+    assert result.states["gate"]["dvl"]["doubt"][-1] == pytest.approx(3.0, abs=5 * DVL_STD)
+    k = int(np.searchsorted(m.stamps_ns, m.dvl_stamps_ns[42])) + 1
+    assert np.sqrt(np.diag(P15(result.states[k]))[VELOCITY]).max() < 0.2
 
 
 @pytest.mark.parametrize("outage", [0, 6, 20])

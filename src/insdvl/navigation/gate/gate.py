@@ -37,6 +37,9 @@ FAULT = 1.5
 #: Whether a sensor has jumped, against the last accepted measurement and by the IMU.
 STEP, NO_STEP, UNKNOWN = range(3)
 
+#: In this time [ns] the doubt of a sensor halves that a filter without trust has given in to.
+HALF_LIFE_NS = 10 * NS
+
 
 class Gate:
     """The gate of one kind of measurement.
@@ -135,8 +138,8 @@ class Gate:
         if not goes_on:
             if not fair.nis > limit:
                 g["drifts"] = 0
-                rejected_from_ns = int(g["rejected_from_ns"])
-                ordinary.note_claim(g["claim"], g["first"], rejected_from_ns, now.innovation)
+                rejections = int(g["rejected_from_ns"]), int(g["gave_in_ns"])
+                ordinary.note_claim(g["claim"], g["first"], *rejections, now.innovation)
                 return now, True, ""
             if not self._is_fault(s, stamp_ns, fair, limit):
                 return self._with_drift(s, stamp_ns, now, fair, limit), True, ""
@@ -242,8 +245,8 @@ class Gate:
     ) -> int:
         """Whether the sensor has jumped: the IMU has not seen the step from an earlier innovation.
 
-        Nothing has been corrected in between. Otherwise the filter has drifted. In an outage or a
-        gap there may have been a step.
+        The sensor has corrected nothing in between. Otherwise the filter has drifted. In an outage,
+        or a gap since the last accepted measurement, there may have been a step.
         """
         interval_ns = stamp_ns - earlier_ns
         if earlier_ns == NEVER or interval_ns > LEAST_PATIENCE_NS or self._has_gap(s):
@@ -292,10 +295,9 @@ class Gate:
 
         Then its error is as likely as the filter's. If the filter was trusted, that error would
         last: all measurements of the doubt weigh as a single one. If the filter was not, little
-        speaks for it, and the doubt is short; but if it gave in a moment ago, the sensor
-        alternates, and the state stays between its values. If it was trusted and gave in a moment
-        ago, what it has believed since may have turned it: its tilt is doubted instead of the
-        sensor.
+        speaks for it, and the doubt fades; where the sensor alternates it is renewed, and the state
+        stays between its values. If the filter was trusted and gave in a moment ago, what it has
+        believed since may have turned it: its tilt is doubted instead of the sensor.
         """
         g, m = self._memory(s), self._model.rows
         claim, trusted = g["claim"][:m], g["patient_for"] > LEAST_PATIENCE_NS
@@ -310,8 +312,7 @@ class Gate:
             if trusted:
                 count = max(self._patience_ns / (stamp_ns - int(g["judged_ns"])), 1.0)
             error = np.sqrt(count) * np.linalg.norm(now.innovation)
-            most_ns = self._patience_ns if trusted or again else LEAST_PATIENCE_NS
-            _doubt(g, error, stamp_ns, min(most_ns, self._patience_ns))
+            _doubt(g, error, stamp_ns, self._patience_ns, 0 if trusted else HALF_LIFE_NS)
         claim[:] = 0.0 if back or again else now.innovation
         g["trusted_for"], g["gave_in_ns"] = 0, stamp_ns
         g["inflations"] += 1
@@ -325,13 +326,13 @@ class Gate:
         """
         g, m = self._memory(s), self._model.rows
         claim, left = g["claim"][:m], g["left"][:m]
-        jumped = self._step(s, stamp_ns, now) == STEP
-        gave_in_ns = int(g["gave_in_ns"])
+        step, gave_in_ns = self._step(s, stamp_ns, now), int(g["gave_in_ns"])
         if g["accepted_ns"] < gave_in_ns:
             # The claim has corrected nothing: the sensor is back where the filter still is.
-            back = now.innovation @ now.innovation < RETURNS**2 * claim @ claim and not jumped
-            return back and self._step_from(s, gave_in_ns, claim, stamp_ns, now) == STEP
-        return jumped and (now.innovation - left) @ claim < -RETURNS * claim @ claim
+            near = now.innovation @ now.innovation < RETURNS**2 * claim @ claim
+            from_claim = self._step_from(s, gave_in_ns, claim, stamp_ns, now)
+            return near and step == NO_STEP and from_claim == STEP
+        return step == STEP and (now.innovation - left) @ claim < -RETURNS * claim @ claim
 
     def _take_back(self, s: State, stamp_ns: int, now: Innovated, R: Array) -> Innovated:
         """The measurement without the doubt, if the sensor takes back what it is doubted for."""
@@ -345,8 +346,9 @@ class Gate:
         return sure
 
 
-def _doubt(g: State, error: float, from_ns: int, lasts_ns: int) -> None:
-    g["doubt"], g["doubt_from_ns"], g["doubt_for"] = error, from_ns, lasts_ns
+def _doubt(g: State, error: float, from_ns: int, lasts_ns: int, half_life_ns: int = 0) -> None:
+    g["doubt"], g["doubt_half_life"] = error, half_life_ns
+    g["doubt_from_ns"], g["doubt_for"] = from_ns, lasts_ns
 
 
 def _is_doubted(g: State, stamp_ns: int) -> bool:

@@ -28,6 +28,21 @@ def is_doubted(doubt_from_ns: int, doubt_for: int, stamp_ns: int) -> bool:
 
 
 @kernel
+def doubt_at(doubt: float, doubt_from_ns: int, half_life_ns: int, stamp_ns: int) -> float:
+    """The error that a doubted sensor may have at a stamp, one sigma in each row.
+
+    Args:
+        doubt: That error at first.
+        doubt_from_ns: Since when.
+        half_life_ns: In this time it halves; 0 if it stays.
+        stamp_ns: Of the measurement.
+    """
+    if half_life_ns == 0:
+        return doubt
+    return doubt * 0.5 ** ((stamp_ns - doubt_from_ns) / half_life_ns)
+
+
+@kernel
 def may_go_on(
     fault_ns: int, rejected_from_ns: int, patient_for: int, unseen: bool, stamp_ns: int
 ) -> bool:
@@ -38,8 +53,13 @@ def may_go_on(
 
 
 @kernel
-def note_claim(claim: Array, first: Array, rejected_from_ns: int, innovation: Array) -> None:
-    """A measurement that is used, but repeats what was rejected, is a claim."""
+def note_claim(
+    claim: Array, first: Array, rejected_from_ns: int, gave_in_ns: int, innovation: Array
+) -> None:
+    """Whether a measurement that is used after rejections repeats what was rejected.
+
+    Then that is a claim. If it does not, a claim that the filter has just given in to is void.
+    """
     if rejected_from_ns == NEVER:
         return
     along, square = 0.0, 0.0
@@ -49,6 +69,8 @@ def note_claim(claim: Array, first: Array, rejected_from_ns: int, innovation: Ar
     if along > RETURNS * square:
         for i in range(len(innovation)):
             claim[i] = first[i]
+    elif gave_in_ns >= rejected_from_ns:
+        claim[:] = 0.0
 
 
 @kernel
@@ -88,7 +110,7 @@ def is_ordinary(
     copy_matrix(R, own)
     if doubted:
         for a in range(len(R)):
-            R[a, a] += g.doubt**2
+            R[a, a] += doubt_at(g.doubt, g.doubt_from_ns, g.doubt_half_life, stamp_ns) ** 2
     nis, rows = algebra.gain(s.nav.P, H, R, innovation, S, K), algebra.rows_of(H)
     if not np.isfinite(nis):
         return nis, rows, False
@@ -103,7 +125,7 @@ def is_ordinary(
     if fair > limits[rows]:
         return nis, rows, False
     g.drifts = 0
-    note_claim(g.claim, g.first, g.rejected_from_ns, innovation)
+    note_claim(g.claim, g.first, g.rejected_from_ns, g.gave_in_ns, innovation)
     return nis, rows, True
 
 

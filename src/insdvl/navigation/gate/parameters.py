@@ -25,8 +25,9 @@ class GateParameters:
         "has agreed with the filter before if that is shorter (at most 5 s if the filter itself "
         "may be wrong), the filter gives in: the covariance is inflated, of velocity for the DVL "
         "(and of tilt, if the filter may have drifted), of the height for a depth sensor, of the "
-        "attitude for a heading sensor. A sensor that had jumped stays in doubt for this time. "
-        "After twice the time the state is restarted from the measurement.",
+        "attitude for a heading sensor. A sensor that had jumped stays in doubt for this time, "
+        "less and less if it had agreed for no more than 5 s before. After twice the time the "
+        "state is restarted from the measurement.",
         unit="s",
         above=0.0,
         high=3600.0,

@@ -78,10 +78,12 @@ GATE = (
     # Innovation and stamp of the last that was surely a fault of the sensor
     Field("fault", NUMBER, (MAX_ROWS,)),
     Field("fault_ns", STAMP),
-    # The error that the sensor may have, one sigma in each row, since when and for how long [ns]
+    # The error that the sensor may have at first, one sigma in each row, since when, for how long,
+    # and in what time it halves [ns]; 0 if it stays
     Field("doubt", NUMBER),
     Field("doubt_from_ns", STAMP),
     Field("doubt_for", COUNT),
+    Field("doubt_half_life", COUNT),
     # How often the covariance was inflated, and the state restarted from it, after rejections
     Field("inflations", COUNT),
     Field("restarts", COUNT),
