@@ -236,22 +236,15 @@ class Gate:
         return 2.0 * now.R + drift + 1e-9 * np.trace(now.R) * np.eye(len(now.R))
 
     def _step(self, s: State, stamp_ns: int, now: Innovated) -> int:
-        """Whether the sensor has jumped since the last accepted measurement, see `_step_from`."""
-        g = self._memory(s)
-        return self._step_from(s, int(g["accepted_ns"]), g["left"], stamp_ns, now)
+        """Whether the sensor has jumped: the IMU has not seen the step since the last accepted.
 
-    def _step_from(
-        self, s: State, earlier_ns: int, innovation: Array, stamp_ns: int, now: Innovated
-    ) -> int:
-        """Whether the sensor has jumped: the IMU has not seen the step from an earlier innovation.
-
-        The sensor has corrected nothing in between. Otherwise the filter has drifted. In an outage,
-        or a gap since the last accepted measurement, there may have been a step.
+        Otherwise the filter has drifted. In an outage or a gap there may have been a step.
         """
-        interval_ns = stamp_ns - earlier_ns
-        if earlier_ns == NEVER or interval_ns > LEAST_PATIENCE_NS or self._has_gap(s):
+        g = self._memory(s)
+        interval_ns = stamp_ns - int(g["accepted_ns"])
+        if g["accepted_ns"] == NEVER or interval_ns > LEAST_PATIENCE_NS or self._has_gap(s):
             return UNKNOWN
-        step = now.innovation - innovation[: self._model.rows]
+        step = now.innovation - g["left"][: self._model.rows]
         S_step = self._step_covariance(s, interval_ns, now)
         return STEP if step @ np.linalg.solve(S_step, step) > self._limits[now.rows] else NO_STEP
 
@@ -322,17 +315,15 @@ class Gate:
     def _returns(self, s: State, stamp_ns: int, now: Innovated) -> bool:
         """Whether a sensor that the filter gave in to jumps back to where it was before.
 
-        The IMU has seen neither jump. One fault of the sensor explains both.
+        The IMU has seen neither jump. One fault of the sensor explains both. While nothing has been
+        accepted since, the claim has corrected nothing, and back is where the last accepted was.
         """
         g, m = self._memory(s), self._model.rows
-        claim, left = g["claim"][:m], g["left"][:m]
-        step, gave_in_ns = self._step(s, stamp_ns, now), int(g["gave_in_ns"])
-        if g["accepted_ns"] < gave_in_ns:
-            # The claim has corrected nothing: the sensor is back where the filter still is.
-            near = now.innovation @ now.innovation < RETURNS**2 * claim @ claim
-            from_claim = self._step_from(s, gave_in_ns, claim, stamp_ns, now)
-            return near and step == NO_STEP and from_claim == STEP
-        return step == STEP and (now.innovation - left) @ claim < -RETURNS * claim @ claim
+        believed = g["accepted_ns"] >= g["gave_in_ns"]
+        claim = g["claim"][:m]
+        step = now.innovation - (g["left"][:m] if believed else claim)
+        returns = bool(step @ claim < -RETURNS * claim @ claim)
+        return returns and self._step(s, stamp_ns, now) == (STEP if believed else NO_STEP)
 
     def _take_back(self, s: State, stamp_ns: int, now: Innovated, R: Array) -> Innovated:
         """The measurement without the doubt, if the sensor takes back what it is doubted for."""
