@@ -136,6 +136,7 @@ CONCLUDED: dict[str, Callable[[], Sequence[float]]] = {
     "The target of N is met at 1 Hz,": lambda: [1.05],
     "by the end of the interval, N.": lambda: [upper_end()],
     "without it the ratio is N.": lambda: [without_the_worst()],
+    "the outliers cost more: N and N.": lambda: both(OUTLIERS, "R adaptive", PLAIN),
     "hundredth of Q at 5 Hz it has N of the error of `R nominal`, and N with the factor": lambda: [
         ratio(TACTICAL, SMALL_Q, row, "R nominal") for row in LEARNED[1:]
     ],
@@ -158,9 +159,9 @@ EXPLAINED: dict[str, dict[str, Callable[[], Sequence[float]]]] = {
             *rmse(PLAIN),
         ],
         "With the estimate it is that without a gate, to N %": lambda: [of_the_gate()],
-        "cost the adaptive estimate N and N % over the same flights": lambda: cost("R adaptive"),
-        "and the oracle N and N %;": lambda: cost("R oracle"),
-        "in the median mission N and N %.": lambda: median_costs(),
+        "cost the adaptive estimate N and N % over the same": lambda: cost("R adaptive"),
+        "and the oracle N and N %.": lambda: cost("R oracle"),
+        "in the median mission N and N %,": lambda: median_costs(),
         "by the end of the interval, N %.": lambda: [100.0 * (upper_end() - 1.0)],
         "the estimate has N and N, without those pings N and N.": lambda: [
             *both(OUTLIERS, "R adaptive", "R oracle"),
