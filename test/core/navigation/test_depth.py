@@ -278,6 +278,20 @@ def test_an_outlier_is_refused_and_a_lasting_step_is_followed_in_the_end() -> No
     assert m.truth.llh[-1, 2] - found.states["nav"]["llh"][-1, 2] == pytest.approx(3.0, abs=0.2)
 
 
+def test_a_second_depth_that_is_off_leaves_no_doubt() -> None:
+    """The third is back where the filter still is, and weighs as ever."""
+    m = mission(duration=20.0)
+    settings = parameters(depth__surface_std=0.0, gate__max_rejection_time=60.0)
+    events = depths(m, 0.0, np.random.default_rng(SEED))
+    assert isinstance(events[1], Depth)
+    spoilt = [events[0], Depth(events[1].stamp_ns, events[1].depth + 5.0), *events[2:]]
+    found, clean = fly(m, settings, spoilt), fly(m, settings, events)
+    assert [r.reason for r in of_depth(found)] == ["", "gate"] + [""] * (len(events) - 2)
+    sigmas = [np.sqrt(of.states[-1]["nav"]["P"][DOWN, DOWN]) for of in (found, clean)]
+    assert sigmas[0] == pytest.approx(sigmas[1], rel=0.05)
+    assert abs(m.truth.llh[-1, 2] - found.states["nav"]["llh"][-1, 2]) < 5.0 * sigmas[0]
+
+
 def test_a_constant_depth_is_refused_as_frozen() -> None:
     m = mission(duration=30.0)
     settings = parameters(depth__frozen_samples=10, depth__surface_std=0.0)
