@@ -318,8 +318,8 @@ CLAIMS = {
 
 
 @pytest.mark.parametrize("which", CLAIMS)
-def test_what_a_dvl_claims_of_which_little_is_known_is_covered(which: str) -> None:
-    """Which pings are off; whom to believe cannot be known, but how much."""
+def test_faults_that_little_speaks_against_are_covered(which: str) -> None:
+    """It cannot be told which are right. The sigma says so, and the good ones win in the end."""
     rate, missing, off = CLAIMS[which]
     m = mission(duration=190.0, rate=rate)
     v_d = m.v_d.copy()

@@ -56,7 +56,7 @@ def may_go_on(
 def note_claim(
     claim: Array, first: Array, rejected_from_ns: int, gave_in_ns: int, innovation: Array
 ) -> None:
-    """Whether a measurement that is used after rejections repeats what was rejected.
+    """Note whether a measurement that is used after rejections repeats what was rejected.
 
     Then that is a claim. If it does not, a claim that the filter has just given in to is void.
     """

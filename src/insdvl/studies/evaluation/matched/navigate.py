@@ -180,9 +180,9 @@ def navigate(
         )
     flight, updates = _Flight(mission, parameters, every), []
     flight.begin(initial)
-    known = ~mission.dvl_outlier
-    stamps = mission.dvl_stamps_ns[known].tolist()
-    for stamp_ns, v_d, r in zip(stamps, mission.v_d[known], noise.white_r[known], strict=True):
+    known = mission.without_outliers()
+    pings = zip(known.dvl_stamps_ns.tolist(), known.v_d, known.noise.white_r, strict=True)
+    for stamp_ns, v_d, r in pings:
         flight.advance(stamp_ns)
         updates.append(AppliedUpdate(stamp_ns, flight.take_in(Dvl(stamp_ns, v_d, np.diag(r)))))
     flight.advance(int(mission.stamps_ns[-1]))

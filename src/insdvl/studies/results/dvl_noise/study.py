@@ -5,7 +5,7 @@ filters are told, or add errors to some pings. So rows of two conditions are pai
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -35,34 +35,19 @@ TACTICAL, FOG = "bottom-tactical", "bottom-fog"
 RATES: Mapping[str, float] = {TACTICAL: 5.0, FOG: 1.0}
 STD = 0.05  # m/s, on the data sheet of the DVL
 
-
-@dataclass(frozen=True)
-class Condition:
-    """What a comparison is made with.
-
-    Attributes:
-        gate: Whether the filters have a gate.
-        outliers: Probability that a ping is off.
-        outliers_missing: Whether the pings that are off are missing instead.
-        q_factor: On the true Q.
-    """
-
-    gate: bool = False
-    outliers: float = 0.0
-    outliers_missing: bool = False
-    q_factor: float = 1.0
-
-
 PLAIN, GATE = "gate off", "gate on"
 OUTLIERS, LEFT_OUT = "gate on, outliers", "gate on, outliers left out"
 SMALL_Q, LARGE_Q = "a hundredth of Q", "a hundred times Q"
-CONDITIONS: Mapping[str, Condition] = {
-    PLAIN: Condition(),
-    GATE: Condition(gate=True),
-    OUTLIERS: Condition(gate=True, outliers=0.05),
-    LEFT_OUT: Condition(gate=True, outliers=0.05, outliers_missing=True),
-    SMALL_Q: Condition(q_factor=0.01),
-    LARGE_Q: Condition(q_factor=100.0),
+_PLAIN = Setting("calibrated", sensors=Sensors(dvl_std=STD))
+_SPOILT = replace(_PLAIN.sensors, outliers=0.05)
+#: The settings of each; a vehicle has its own rate of pings.
+CONDITIONS: Mapping[str, Setting] = {
+    PLAIN: _PLAIN,
+    GATE: replace(_PLAIN, gate=True),
+    OUTLIERS: replace(_PLAIN, gate=True, sensors=_SPOILT),
+    LEFT_OUT: replace(_PLAIN, gate=True, sensors=replace(_SPOILT, outliers_missing=True)),
+    SMALL_Q: replace(_PLAIN, q_factor=0.01),
+    LARGE_Q: replace(_PLAIN, q_factor=100.0),
 }
 #: In the order of the tables.
 ROWS = (
@@ -93,23 +78,13 @@ def plans(runs: int, seed: int) -> dict[Key, Plan]:
     return {
         (scenario, name): Plan(
             scenario,
-            Setting(
-                "calibrated",
-                gate=condition.gate,
-                q_factor=condition.q_factor,
-                sensors=Sensors(
-                    dvl_std=STD,
-                    dvl_rate=rate,
-                    outliers=condition.outliers,
-                    outliers_missing=condition.outliers_missing,
-                ),
-            ),
+            replace(setting, sensors=replace(setting.sensors, dvl_rate=rate)),
             runs,
             seed=seed,
             rows=tuple(row for row in ROWS if row not in R_RECEIVED or name in _RECEIVING),
         )
         for scenario, rate in RATES.items()
-        for name, condition in CONDITIONS.items()
+        for name, setting in CONDITIONS.items()
     }
 
 
