@@ -16,6 +16,7 @@ from insdvl.studies.results.command import PARTS, documents
 from insdvl.studies.results.page import PAGES, pages
 from insdvl.studies.results.pictures.draw import draw
 from insdvl.studies.results.pictures.forests import forests
+from insdvl.studies.results.pictures.over_time import over_time
 from insdvl.studies.results.targets import row
 
 DOCS = Path(__file__).parents[3] / "docs"
@@ -44,12 +45,15 @@ def test_the_page_of_targets_counts_those_of_the_studies() -> None:
         assert yes + no > 0
 
 
-def test_pictures_of_the_pages_are_there() -> None:
+def test_pictures_of_the_pages_are_there_and_no_others() -> None:
+    shown = {"forest.png"}  # on the page of all results
     for name in PAGES:
         text = (DOCS / "results" / f"{name}.md").read_text()
         pictures = [part.partition(")")[0] for part in text.split("](")[1:] if ".png)" in part]
         assert all((DOCS / "results" / picture).is_file() for picture in pictures)
         assert pictures or name in ("targets", "variance", "error-state-and-gate", "window"), name
+        shown |= set(pictures)
+    assert {file.name for file in (DOCS / "results").glob("*.png")} == shown
 
 
 def written(folder: Path) -> str:
@@ -113,6 +117,39 @@ def test_the_title_of_a_picture_has_its_numbers(tmp_path: Path) -> None:
     }
     draw(tmp_path / "one.png", drawn["vehicle"])
     assert (tmp_path / "one.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_title_of_a_plot_over_time_has_its_numbers() -> None:
+    found = documents(DOCS / "results")
+
+    def numbers(part: str, name: str) -> dict:
+        (one,) = [one for one in found[part]["rows"] if one["approach"] == name]
+        return one
+
+    def over_told(part: str, name: str) -> float:
+        return numbers(part, name)["body_rmse"] / numbers(part, "oracle")["body_rmse"]
+
+    def heading(part: str, name: str) -> str:
+        return f"{numbers(part, name)['heading_rmse_deg']:.1f}"
+
+    titles = over_time(found)
+    for part in ("varying-calibrated", "wide-calibrated"):
+        assert re.findall(NUMBER, titles.pop(part)) == [
+            f"{over_told(part, 'hcf default'):.3f}",
+            f"{over_told(part, 'constant 0.01/0.001'):.2f}",
+        ]
+    for part in ("constant-paper", "constant-paper-no-walk"):
+        names = ("hcf default", "oracle", "best constant")
+        assert re.findall(NUMBER, titles.pop(part)) == [heading(part, name) for name in names]
+    assert not titles and not over_time({})
+
+
+def test_no_plot_over_time_where_a_filter_failed_in_many_runs() -> None:
+    found = documents(DOCS / "results")
+    one = row(found["constant-paper"], "oracle")
+    failed = {**(one or {}), "ratio_to": {}, "heading_rmse_deg": None}
+    rows = [failed if r is one else r for r in found["constant-paper"]["rows"]]
+    assert not over_time({"constant-paper": found["constant-paper"] | {"rows": rows}})
 
 
 @pytest.fixture(scope="module")

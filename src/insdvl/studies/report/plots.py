@@ -202,7 +202,7 @@ def draw_errors_over_time(path: Path, title: str, series: Mapping[str, Array]) -
     """
     figure = Figure(figsize=(11, 6.5), layout="constrained")
     FigureCanvasAgg(figure)
-    figure.suptitle(title, fontsize=13)
+    figure.suptitle(title, fontsize=12)
     panels = figure.subplots(2, 1, sharex=True)
     for (name, values), colour in zip(series.items(), _COLOURS, strict=False):
         rms = np.sqrt(np.nanmean(values, axis=0))

@@ -53,6 +53,7 @@ from insdvl.studies.results.dvl_noise import study as dvl_noise
 from insdvl.studies.results.others import study as others
 from insdvl.studies.results.pictures.draw import draw
 from insdvl.studies.results.pictures.forests import forests
+from insdvl.studies.results.pictures.over_time import DRAWN, over_time
 from insdvl.tuner.models import load_model
 
 #: Rows of the tables that show what an error state or the gate changes.
@@ -65,8 +66,6 @@ _OF_SPECTRUM = (
 #: Rows of the tables on white noise, of which `MATCHED` knows no more than the oracle. What is off
 #: for a whole mission is the subject of the others.
 _OF_WHITE = tuple(row for row in ROWS if row not in (MATCHED, BANDS_WITH_FACTOR))
-#: Rows of the plots over time.
-_DRAWN = (FIRST_CONSTANT, BEST_CONSTANT, "hcf default", ORACLE)
 
 #: The comparisons, by part.
 PLANS: Mapping[str, Plan] = {
@@ -149,9 +148,9 @@ def _compute(part: str, arguments: argparse.Namespace, folder: Path, pool: Pool)
         store = Store(work, {"plan": plan.document(), "models": models}, source)
         compared = compare(plan, pool, store)
         document = compared.document
-        drawn = {row: compared.series[row] for row in _DRAWN if row in compared.series}
-        if not part.endswith("-spectrum"):  # vehicles differ: a mean over them says little
-            draw_errors_over_time(folder / f"{part}.png", part, drawn)
+        for sentence in over_time({part: document}).values():
+            drawn = {row: compared.series[row] for row in DRAWN}
+            draw_errors_over_time(folder / f"{part}.png", sentence, drawn)
     elif part == BREADTH:
         runs = {"runs": arguments.runs, "tuning_runs": arguments.tuning_runs, "seed": seed}
         plans = breadth.with_runs(breadth.plans(), **runs)

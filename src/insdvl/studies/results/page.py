@@ -24,6 +24,7 @@ from insdvl.studies.results.others.tables import others_tables
 from insdvl.studies.results.others.targets import OF_OTHERS
 from insdvl.studies.results.over_matched import over_matched
 from insdvl.studies.results.pictures.forests import forests
+from insdvl.studies.results.pictures.over_time import over_time
 from insdvl.studies.results.recorded.targets import OF_VEHICLE, OF_WITHHELD
 from insdvl.studies.results.targets import (
     OF_SPECTRUM,
@@ -141,6 +142,11 @@ def _comparison(documents: Documents, part: str, title: str) -> str:
     return f"## {title}\n\n{comparison_tables(documents[part])}"
 
 
+def _over_time(documents: Documents, part: str) -> str:
+    sentence = over_time(documents).get(part)
+    return f"![{sentence}]({part}.png)" if sentence else ""
+
+
 def _scenarios(documents: Documents, preset: str) -> list[str]:
     return [
         _comparison(documents, f"{scenario}-{preset}", f"`{scenario}`: {SCENARIO_TEXTS[scenario]}")
@@ -154,7 +160,7 @@ def _calibrated(documents: Documents) -> str:
         for scenario in ("varying", "wide")
         if f"{scenario}-calibrated" in documents
     }
-    plots = [f"![Errors over time, {scenario}]({scenario}-calibrated.png)" for scenario in parts]
+    plots = [_over_time(documents, f"{scenario}-calibrated") for scenario in parts]
     return _section(
         "The comparison, calibrated",
         """
@@ -240,10 +246,10 @@ def _published(documents: Documents) -> str:
     parts = _scenarios(documents, "paper")
     if "constant-paper" in documents:
         parts.append(_against_zero_velocity(documents["constant-paper"]))
-        parts.append("![Errors over time, preset paper](constant-paper.png)")
+        parts.append(_over_time(documents, "constant-paper"))
     parts.append(_comparison(documents, _NO_WALK, "`constant`, preset `paper-no-walk`"))
     if _NO_WALK in documents:
-        parts.append(f"![Errors over time, without bias walks]({_NO_WALK}.png)")
+        parts.append(_over_time(documents, _NO_WALK))
     return _section(
         "The published table, attempted",
         """
