@@ -6,8 +6,8 @@ velocity, gravity, tilt and biases. No state is needed for it, and no gate stand
 factor is that of the median of the last differences, which a few wild pings do not carry away.
 
 The estimate depends on the stamps alone, as long as pings come in their order: a ping waits for the
-samples of its time. Two tuners that have both seen the last 18 pings and their samples give the
-same bits. Nothing is told before there are five differences, nor of the first pings after a gap.
+samples of its time. Two tuners that have both seen the last 70 s, or 18 pings without a gap, and
+their samples give the same bits. Nothing is told without five differences of the last minute.
 """
 
 from collections import deque
@@ -88,7 +88,8 @@ class DvlTuner:
         self._samples: deque[tuple[int, Array, Array]] = deque()
         self._waiting: deque[Dvl] = deque(maxlen=_MOST_WAITING)
         self._pings: list[_Ping] = []
-        self._squares: deque[float] = deque(maxlen=window.SIZE)
+        # Stamp of the newest ping and square of the last differences
+        self._squares: deque[tuple[int, float]] = deque(maxlen=window.SIZE)
         self._last: Dvl | None = None
         self.counts = dict.fromkeys(
             ("pings", "pings_without_lock", "pings_out_of_order", "pings_without_samples"), 0
@@ -112,7 +113,9 @@ class DvlTuner:
                 self._samples.clear()
             if step_ns < 0:  # a restart
                 self._waiting.clear()
-                self._forget()
+                self._pings.clear()
+                self._squares.clear()
+                self._last = None
         C = self._C_b_i
         self._samples.append((stamp_ns, C @ sample.f_b, C @ sample.w_ib_b))
         while stamp_ns - self._samples[0][0] > _LONGEST_NS + _TURN_NS:
@@ -135,19 +138,11 @@ class DvlTuner:
         self._waiting.append(ping)
         return list(self._tune())
 
-    def _forget(self) -> None:
-        self._pings.clear()
-        self._squares.clear()
-        self._last = None
-
     def _tune(self) -> Iterator[TunedSensorNoise]:
         """The estimates of the pings that have their samples."""
         while self._waiting and self._samples and self._waiting[0].stamp_ns <= self._samples[-1][0]:
             ping = self._waiting.popleft()
-            last, self._last = self._last, ping
-            if last is not None and ping.stamp_ns - last.stamp_ns > _LONGEST_NS:
-                self._forget()
-                self._last = ping
+            self._last = ping
             if ping.stamp_ns <= self._samples[0][0]:
                 self.counts["pings_without_samples"] += 1
                 self._pings.clear()
@@ -155,7 +150,7 @@ class DvlTuner:
             self.counts["pings"] += 1
             R_0 = noise.chosen(ping.R, self._R, self._dvl.noise_floor, self._dvl.covariance)
             self._compare(ping, R_0)
-            factor = window.median_factor(np.array(self._squares))
+            factor = window.median_factor(self._recent(ping.stamp_ns))
             if factor is not None:
                 low = smallest_factor(R_0, self._dvl.noise_floor)
                 R = min(max(factor, low), LARGEST) * R_0
@@ -186,9 +181,15 @@ class DvlTuner:
                     np.array([one.R_b for one in four]),
                 )
                 if np.isfinite(square):
-                    self._squares.append(square)
+                    self._squares.append((at_ns, square))
         while len(self._samples) > 1 and self._samples[1][0] <= at_ns - _TURN_NS:
             self._samples.popleft()
+
+    def _recent(self, at_ns: int) -> Array:
+        """The squares (n,) of the window that tell something at a stamp."""
+        stamps_ns = np.array([stamp_ns for stamp_ns, _ in self._squares], np.int64)
+        squares = np.array([square for _, square in self._squares])
+        return window.recent(squares, stamps_ns, at_ns)
 
     @staticmethod
     def _rate(stamps: Stamps, w_ib_b: Array, at_ns: int) -> Array:

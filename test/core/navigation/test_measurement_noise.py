@@ -8,6 +8,7 @@ from insdvl.navigation.events import NS
 from insdvl.navigation.measurement_noise import guard, levels, window
 from insdvl.navigation.measurement_noise.guard import Correlation
 from insdvl.navigation.measurement_noise.levels import LEVELS, PRIOR, learned, moved, whitened
+from insdvl.navigation.state.fields import NEVER
 
 R_0 = np.array([[4.0, 1.0, 0.0], [1.0, 9.0, -1.0], [0.0, -1.0, 1.0]]) * 1e-4
 M = np.array([[2.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 3.0]]) * 1e-4
@@ -178,10 +179,21 @@ def test_the_square_of_four_pings_is_in_units_of_their_own_noise() -> None:
 
 
 def test_a_window_tells_nothing_before_five_differences() -> None:
-    ring = np.arange(1.0, 16.0)
-    assert window.mean_factor(ring, 4) is None
-    assert window.mean_factor(ring, 5) == 3.0
-    assert window.mean_factor(ring, 100) == 8.0
+    squares = np.arange(1.0, 16.0)
+    assert window.mean_factor(squares[:4]) is None
+    assert window.mean_factor(squares[:5]) == 3.0
+    assert window.mean_factor(squares) == 8.0
+
+
+def test_a_difference_tells_something_for_a_minute() -> None:
+    """All those of the slowest pings that are compared; none of a ring that is not yet full."""
+    squares = np.arange(float(window.SIZE))
+    slowest = np.arange(window.SIZE) * round(window.LONGEST / window.PAST * NS)
+    last = int(slowest[-1])
+    assert np.array_equal(window.recent(squares, slowest, last), squares)
+    assert np.array_equal(window.recent(squares, slowest, 61 * NS), squares[1:])
+    assert not len(window.recent(squares, slowest, last + 61 * NS))
+    assert not len(window.recent(squares, np.full(window.SIZE, NEVER), 0))
 
 
 # ------------------------------------------------------------------ the guard

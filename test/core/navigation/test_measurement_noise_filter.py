@@ -32,7 +32,7 @@ SOURCES = ("adaptive", "learned")
 #: What the filter has learned, without what only carries the pings to the present.
 TAUGHT = (
     *("factor", "probabilities", "learned_ns", "pings_ns"),
-    *("squares", "square_count", "product", "square", "pairs", "innovation"),
+    *("squares", "squares_ns", "product", "square", "pairs", "innovation"),
 )
 
 
@@ -179,6 +179,17 @@ def test_a_noise_that_is_half_of_the_nominal_is_found(source: str) -> None:
     """A factor of 0.25, by its geometric mean over the last 30 s: 3 memories of the estimate."""
     found = factors(source, mission(40.0, std=0.5 * STD))[1000:]
     assert np.exp(np.mean(np.log(found))) == pytest.approx(0.25, rel=0.3)
+
+
+def test_a_window_that_is_older_than_a_minute_tells_nothing() -> None:
+    """From 20 s on one ping in 4 s: four of them are not compared, and the rest gets old."""
+    m = mission(90.0, std=0.5 * STD)
+    slow = [ping for k, ping in enumerate(pings(m)) if k < 100 or k % 20 == 0]
+    states = fly(parameters("learned"), m, slow).states
+    seconds = (states["nav"]["time_ns"] - m.start_ns) / NS
+    found = states["dvl_noise"]["factor"]
+    assert np.all(found[(seconds > 25.0) & (seconds < 75.0)] < 0.6)
+    assert np.all(found[seconds > 85.0] == 1.0)
 
 
 def test_without_noise_the_sigma_is_that_of_the_floor() -> None:

@@ -143,6 +143,24 @@ def test_late_pings_and_a_late_start_give_the_same_bits() -> None:
         assert resumed[one.stamp_ns].R.tobytes() == one.R.tobytes()
 
 
+def test_pings_that_are_too_slow_are_told_nothing_of_after_a_minute() -> None:
+    """One ping in 4 s: four of them are not compared, and what was before gets old."""
+    m = mission(duration=120.0)
+    slow = [ping for k, ping in enumerate(pings(m)) if k < 100 or k % 20 == 0]
+    found = told(DvlTuner(parameters()), in_order(samples(m), slow))
+    last = slow[99].stamp_ns + 60 * NS
+    assert last - 4 * NS < found[-1].stamp_ns <= last
+
+
+def test_over_a_gap_of_the_dvl_the_window_stays_for_a_minute() -> None:
+    m = mission(duration=120.0)
+    for seconds, silent in ((30.0, 0), (70.0, window.PAST + window.FEWEST - 1)):
+        behind = slice(100 + round(seconds * 5.0), None)
+        kept = [*pings(m)[:100], *pings(m)[behind]]
+        found = told(DvlTuner(parameters()), in_order(samples(m), kept))
+        assert found[100 - 7].stamp_ns == kept[100 + silent].stamp_ns
+
+
 def test_wild_pings_do_not_carry_it_away() -> None:
     """5 % of 20 sigma: less than 2 in the factor; by the mean of the squares it would be 4."""
     m = mission(outlier_probability=0.05, outlier_size=20.0 * STD, duration=120.0)

@@ -43,9 +43,9 @@ _OWN = (
     Field("pings_ns", STAMP, (window.PAST,)),
     Field("v_n", NUMBER, (3,)),
     Field("carried_ns", STAMP),
-    # Squares of the third differences, and how many there have been
+    # Squares of the third differences, and the stamps of their newest pings
     Field("squares", NUMBER, (window.SIZE,)),
-    Field("square_count", COUNT),
+    Field("squares_ns", STAMP, (window.SIZE,)),
     # Correlation of the innovations, see guard.py, and the last one in sigma
     Field("product", NUMBER),
     Field("square", NUMBER),
@@ -186,7 +186,7 @@ class MeasurementNoise:
         low = self._smallest(R_0)
         of_window = self._received(m, stamp_ns, R_0, comparable=bool(measured.all()))
         if of_window is None:
-            of_window = window.mean_factor(m["squares"], int(m["square_count"]))
+            of_window = window.mean_factor(window.recent(m["squares"], m["squares_ns"], stamp_ns))
         found = self._believe(m, stamp_ns, innovation, low)
         told = Correlation(float(m["product"]), float(m["square"]), int(m["pairs"]))
         doubt = 1.0 if self._learned else guard.doubt(told, int(measured.sum()))
@@ -219,8 +219,8 @@ class MeasurementNoise:
         if stamps[0] != NEVER and stamp_ns - stamps[0] <= window.LONGEST * NS:
             square = window.difference_square(stamps, velocities, covariances)
             if np.isfinite(square):
-                m["squares"][int(m["square_count"]) % window.SIZE] = square
-                m["square_count"] += 1
+                oldest = np.argmin(m["squares_ns"])
+                m["squares"][oldest], m["squares_ns"][oldest] = square, stamp_ns
         m["pings_ns"], m["pings"] = stamps[:0:-1], velocities[:0:-1]
         m["covariances"] = covariances[:0:-1]
 

@@ -18,6 +18,9 @@ PAST = 3
 LONGEST = 10.0
 #: Differences that a mean is taken from, at most and at least.
 SIZE, FEWEST = 15, 5
+#: A difference that is older than this [s] tells nothing of the present noise. Those of the slowest
+#: pings that are compared, one in 3.3 s, are all used.
+LIFE = (PAST + SIZE) * LONGEST / PAST
 #: Median of a third of chi-squared with three degrees of freedom.
 MEDIAN = 2.365974 / 3.0
 
@@ -55,9 +58,14 @@ def difference_square(stamps_ns: Stamps, velocities: Array, covariances: Array) 
         return np.nan
 
 
-def mean_factor(squares: Array, count: int) -> float | None:
-    """Mean of the newest squares in a ring (SIZE,) of which so many have come; None for too few."""
-    return float(np.mean(squares[: min(count, SIZE)])) if count >= FEWEST else None
+def recent(squares: Array, stamps_ns: Stamps, at_ns: int) -> Array:
+    """Those of the squares (n,), whose stamps are (n,), that tell something at a stamp."""
+    return squares[stamps_ns >= at_ns - round(LIFE * NS)]
+
+
+def mean_factor(squares: Array) -> float | None:
+    """The factor from squares (n,) of Gaussian noise: their mean; None for too few."""
+    return float(np.mean(squares)) if len(squares) >= FEWEST else None
 
 
 def median_factor(squares: Array) -> float | None:
