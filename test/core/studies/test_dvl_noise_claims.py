@@ -71,6 +71,17 @@ def rmse(condition: str) -> list[float]:
     return [float(numbers(vehicle, condition, "R nominal")["body_rmse"]) for vehicle in VEHICLES]
 
 
+def medians() -> list[float]:
+    """Of the nominal row with the gate on and off, of the two vehicles; a failure is no number."""
+    found = {(one["scenario"], one["condition"]): one for one in committed()["comparisons"]}
+    errors = (
+        found[vehicle, condition]["per_run"]["R nominal"]
+        for condition in (GATE, PLAIN)
+        for vehicle in VEHICLES
+    )
+    return [float(np.median([np.inf if x is None else x for x in one])) for one in errors]
+
+
 def of_the_gate() -> float:
     """Largest change by the gate, of the rows that learn R [%]."""
     return max(100.0 * abs(value - 1.0) for row in LEARNED for value in both(GATE, row, PLAIN))
@@ -129,6 +140,7 @@ CONCLUDED: dict[str, Callable[[], Sequence[float]]] = {
     "bottom: it fails in N and N missions, and": lambda: lost_by_the_gate(),
     "where no row fails it has N and N m/s,": lambda: rmse(GATE),
     "in place of N and N m/s with the gate off": lambda: rmse(PLAIN),
+    "the medians are N and N m/s, in place of N and N m/s.": medians,
     "With outliers `R adaptive` has N and N of its error without those pings,": lambda: both(
         OUTLIERS, "R adaptive", LEFT_OUT
     ),

@@ -144,8 +144,8 @@ R_RECEIVED = (R_ADAPTIVE_RECEIVED, R_LEARNED_RECEIVED)
 #: Those of them with the factor.
 _FACTORED = (R_NOMINAL_WITH_FACTOR, R_ADAPTIVE_WITH_FACTOR, FACTOR_WITH_R, FACTOR_WITH_ERROR)
 #: Slow error of the DVL that the rows with states for it are told: sigma over that of the data
-#: sheet's white noise, and time constant [s]. It is the middle of what `realistic` draws for a
-#: vehicle.
+#: sheet's white noise, and time constant [s]. They are the middles of the ranges, 0.1 to 0.5 and 5
+#: to 30 s in logarithm, of which `realistic` draws those of a vehicle: told, not learned.
 _SLOW_ERROR, _SLOW_ERROR_TIME = 0.3, 12.0
 #: Rows that need no filter of their own: they follow from the truth and the result of the oracle.
 FLOORS = (ZERO_VELOCITY, PERFECT_HEADING)

@@ -76,7 +76,8 @@ def _provenance(documents: Documents) -> str:
 def _targets(documents: Documents) -> str:
     return (
         "# Targets\n\nThe targets were set before the measurements. A ratio meets its target when "
-        "the upper end of its\ninterval does. *Learned* is the model `default`.\n\n"
+        "the upper end of its\ninterval does, one on the recordings when the mean "
+        "does. *Learned* is the model `default`.\n\n"
         + targets_table(documents, TARGETS)
         + "\n## Targets of the other studies\n\n"
         + _targets_of_studies(documents)
@@ -304,10 +305,10 @@ One model per window length, trained alike. A variance applies until the next on
 
 _SET_BEFORE = "## Targets\n\nSet before the measurement."
 _OF_NIS = """A filter that is right about itself has a NIS of 3. The R that was
-set by hand is four times the variance that the pings show
-([process-noise-factor.md](../explanation/process-noise-factor.md#6-measured)), and the one that is
-learned goes no lower: no source of Q can meet the target for the NIS. Beside it is what hand-set
-noise has.
+set by hand is four to nine times the variance that the pings show
+([snapir.yaml](../../ros_insdvl/config/snapir.yaml)), and the one that is learned cannot go lower,
+since its vertical component is at `dvl.noise_floor`: no source of Q can meet the target for the
+NIS. Beside it is what hand-set noise has.
 """
 
 
@@ -324,6 +325,8 @@ by differences, the closed form is not. `bands with factor and R adaptive` is fl
 injected, since what is injected is no noise of the DVL. `sensor` and `published` are white noise.
 `vibrating` and `coloured` are drawn as in [spectrum.md](spectrum.md), and told by their effective
 variances; vibration is in the samples of the IMU alone, as its velocity is no more than some mm/s.
+The *best constant* of a recording is the best of a grid of three by three; where its corner with
+the largest variances wins, a larger one would be better by some parts in a thousand.
 """,
         [
             f"{_SET_BEFORE} {_OF_NIS}\n{targets_table(documents, OF_VEHICLE)}",

@@ -128,7 +128,7 @@ def harmless(
     words: str,
     row_: str = "hcf default",
     called: str = "learned",
-    limits: tuple[float, float] = (1.02, 1.05),
+    limits: tuple[float, float] = (1.01, 1.03),
 ) -> Target:
     """At most so much of hand-set noise on the mean of the recordings, and on each."""
 

@@ -84,8 +84,8 @@ def _to_told(name: str, row: str) -> Target:
 def _as_they_are(row: str) -> tuple[Target, ...]:
     called = f"`{row}`"
     return (
-        harmless("body_velocity_rmse", "body velocity", row, called, (1.01, 1.03)),
-        harmless("position_rmse_horizontal", "horizontal position", row, called, (1.01, 1.03)),
+        harmless("body_velocity_rmse", "body velocity", row, called),
+        harmless("position_rmse_horizontal", "horizontal position", row, called),
         harmless("tilt_rmse_deg", "tilt", row, called, (1.2, 1.2)),
         _depth(row, 0.1),
         _within(row, "nis_mean", "NIS", 0.8, 3.5),
