@@ -16,8 +16,9 @@ white and does not change, but for the two vehicles with the noise of the scenar
 ([effective-noise.md](../explanation/effective-noise.md#8-scenarios)). That changes every 15 to
 45 s, so the oracle is better than any constant there.
 [vehicles.py](../../src/insdvl/simulation/vehicles.py) has all numbers. They, and the targets, were
-set before the study was run; only the row that also learns R was judged by the same limits later. Those with white noise had been flown, with other seeds, when the
-factor on Q was made; those with coloured noise had not.
+set before the study was run; only the row that also learns R was judged by the same limits later.
+Those with white noise had been flown, with other seeds, when the factor on Q was made; those with
+coloured noise had not.
 
 The filter and the tuner are those of this project with their defaults, and know the data sheets of
 the sensors; the gate is off. *Oracle* is told the effective variances. `hcf default`, `least band`
