@@ -2,8 +2,8 @@
 
 An unknown heading is found by the Earth's rotation. Where the estimate is nearly half a turn off,
 the sine of its error is near zero and hides it, and the covariance may shrink around the wrong
-heading. The gyroscope bias then has to cover up to twice the Earth's horizontal rate, and leaves
-what it can be. Derivation: docs/explanation/start.md.
+heading. The gyroscope bias then has to cover up to twice the Earth's horizontal rate, and moves
+further than what was learned of it allows. Derivation: docs/explanation/start.md.
 """
 
 import math
@@ -27,9 +27,11 @@ from insdvl.navigation.state.fields import State
 
 #: One sigma of the heading at the start from which on half a turn is possible (4 sigma) [rad].
 DOUBTFUL = math.radians(45.0)
-#: A component of the gyroscope bias beyond so many sigma contradicts the heading. A filter that is
-#: right gets there once in 600,000 starts.
+#: A component of the gyroscope bias that has moved by more than so many sigma contradicts the
+#: heading. A filter that is right gets there once in 600,000 looks.
 SIGMAS = 5.0
+#: Least part of a bias' variance that measurements have taken away: less is rounding.
+LEAST_LEARNED = 1e-9
 #: What else was estimated along with the wrong heading: one sigma of it is larger by as much, and
 #: the tilt is in doubt by this [rad].
 TILT = math.radians(0.3)
@@ -43,7 +45,11 @@ def watch(s: State) -> None:
 
 
 def is_contradicted(s: State, told_b_w: Array, variance: float, walk: float) -> bool:
-    """Whether the gyroscope bias is beyond what it can be.
+    """Whether the gyroscope bias has moved further than what was learned of it allows.
+
+    The variance of an estimate about what was told is the part of the variance that measurements
+    have taken away. That is a small one where the process noise is large, and the bias itself may
+    still be far below its own sigma then.
 
     Args:
         s: A state whose heading is watched.
@@ -53,8 +59,10 @@ def is_contradicted(s: State, told_b_w: Array, variance: float, walk: float) -> 
     """
     nav = s["nav"]
     seconds = (int(nav["time_ns"]) - int(nav["start_ns"])) / NS
-    limit = SIGMAS**2 * (variance + walk * seconds)
-    return bool(np.square(nav["b_w"] - told_b_w).max() > limit)
+    before = variance + walk * seconds
+    learned = before - np.diagonal(nav["P"])[GYROSCOPE_BIAS]
+    moved = np.square(nav["b_w"] - told_b_w) > SIGMAS**2 * learned
+    return bool(np.any(moved & (learned > LEAST_LEARNED * before)))
 
 
 def restart(
