@@ -62,6 +62,28 @@ def test_the_factor_on_q_is_told_where_it_is_learned(
     assert f"{document['process_noise_factor']:.4g}" in capsys.readouterr().out
 
 
+def test_the_noise_of_the_dvl_in_force_is_told_where_it_is_learned(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A sigma that is told five times too large; by the tuner, and by the filter's own window."""
+    assert replayed(folder)["dvl_noise_in_force"] is None
+    assert "in force" not in capsys.readouterr().out
+    large = "dvl.noise_std=[0.1, 0.1, 0.1]"
+    learned = ("--set", large, "--set", "dvl.noise_source=learned")
+    for tuner, origin in (("true", "received"), ("false", "own window")):
+        setting = f"insdvl_tuner:measurement_noise={tuner}"
+        noise = replayed(folder, *learned, "--set", setting)["dvl_noise_in_force"]
+        assert noise["origins"][origin] > 0.6
+        assert sum(noise["origins"].values()) == pytest.approx(1.0)
+        factor, sigma = noise["factor"], noise["sigma"]
+        assert factor["min"] <= factor["mean"] <= factor["max"] == 1.0
+        assert sigma["max"] == pytest.approx(0.1)
+        assert 0.01 < sigma["min"] < 0.03 < sigma["mean"] < 0.07
+        shown = capsys.readouterr().out
+        assert f"sigma of the DVL in force        mean {sigma['mean']:.3g} m/s" in shown
+        assert f"{origin} {100.0 * noise['origins'][origin]:.0f} %" in shown
+
+
 def test_wrong_settings_are_told_together(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     replayed(folder, "--set", "dvl.noise=1", "--set", "rate", code=2)
     said = capsys.readouterr().err.splitlines()
