@@ -212,7 +212,7 @@ def test_a_wrong_parameter_is_named(managed):
 
 @pytest.fixture(scope="module")
 def bad_models(tmp_path_factory):
-    """Paths of an altered and of an absent model, with the start of a tuner with each."""
+    """An altered and an absent model and a wrong name, with the start of a tuner with each."""
     folder = tmp_path_factory.mktemp("models")
     for file in (SHIPPED, SHIPPED.with_suffix(".json")):
         shutil.copy(file, folder)
@@ -220,7 +220,7 @@ def bad_models(tmp_path_factory):
     data = bytearray(altered.read_bytes())
     data[len(data) // 2] ^= 1
     altered.write_bytes(data)
-    paths = [altered, absent]
+    paths = [altered, absent, "nope"]
     ended = starts("ros_insdvl.tuner", [["-p", f"model:={path}"] for path in paths])
     return list(zip(paths, ended, strict=True))
 
@@ -233,11 +233,12 @@ def test_an_altered_model_ends_the_node_with_its_name_and_hash(bad_models):
     assert "Traceback" not in ended.err
 
 
-def test_a_missing_model_ends_the_node_with_its_name(bad_models):
-    model, ended = bad_models[1]
-    assert ended.code == 1
-    assert str(model.with_suffix(".json")) in ended.err
-    assert "Traceback" not in ended.err
+def test_a_model_that_is_not_there_is_a_wrong_parameter(bad_models):
+    """Which a service file does not try again."""
+    for model, ended in bad_models[1:]:
+        assert ended.code == 2
+        assert f"parameter 'model': there is no model '{model}': shipped are bands" in ended.err
+        assert "Traceback" not in ended.err
 
 
 def test_an_estimator_of_your_own_is_published_and_its_failure_told(managed, tmp_path, monkeypatch):

@@ -21,7 +21,7 @@ from insdvl.arrays import Array
 from insdvl.navigation.events import NS
 from insdvl.parameters.declaration import ParameterError
 from insdvl.tuner.features.differences import bounded
-from insdvl.tuner.models import load_model
+from insdvl.tuner.models import UnknownModelError, load_model
 from insdvl.tuner.own import HISTORY, WINDOW, EstimatorError, OwnEstimator
 from insdvl.tuner.parameters import TunerParameters
 from insdvl.tuner.windows import CHANNELS, MOST, Estimator, Window, period, pool_of, pooled
@@ -55,8 +55,8 @@ class Tuner:
 
         Raises:
             ModelError: The model cannot be used, see `load_model`.
-            ParameterError: The estimator cannot be used, or the window is too short for the
-                differences.
+            ParameterError: There is no such model, the estimator cannot be used, or the window is
+                too short for the differences.
         """
         self.enabled = parameters.enabled
         self._estimate, self.window, self._history, self._pooling = self._chosen(parameters)
@@ -81,7 +81,10 @@ class Tuner:
                 raise ParameterError(f"parameter 'estimator': {error}") from error
             self.name = own.name
             return self._own(own), WINDOW, HISTORY, False
-        model = load_model(parameters.model)
+        try:
+            model = load_model(parameters.model)
+        except UnknownModelError as error:
+            raise ParameterError(f"parameter 'model': {error}") from error
         model.variances(np.zeros((CHANNELS, model.window)))
         self.name = model.card["name"]
         return model.variances, model.window, model.history, model.schema.pooling
