@@ -21,6 +21,7 @@ from insdvl.timeline.jumps import TimeJump
 from insdvl.timeline.output import AppliedUpdate
 from insdvl.watch.sample_count import ExpectedSamples
 from ros_insdvl.status.diagnostics import ERROR, OK, WARN, Status, Tally, View
+from ros_insdvl.status.filter.measurement import MeasurementCause
 from ros_insdvl.status.filter.output import Output
 from ros_insdvl.status.filter.watch import FilterWatch
 from ros_insdvl.status.reasons import OF_FRAMES, OF_TIME, REMEDIES
@@ -187,6 +188,23 @@ def test_the_mean_nis_of_each_measurement_has_a_key_of_its_own() -> None:
     f.samples(1, 301)
     keys = [key for key in f.look()["dvl"].values if key.startswith("NIS")]
     assert keys == ["NIS dvl, mean of 2"]  # which the monitor looks for
+
+
+def test_message_and_level_of_the_nis_are_of_its_median() -> None:
+    """A few outliers carry the mean away, and are no reason to change the noise."""
+    f = Filter()
+    f.dvl(START_NS + 3 * NS)
+    f.samples(1, 301)
+    causes = (cause for cause in f.watch._causes if isinstance(cause, MeasurementCause))
+    nis = next(cause for cause in causes if cause._name == "dvl")._nis
+    nis.extend([2.0] * 60 + [50.0] * 40)
+    status = f.look()["dvl"]
+    assert (status.level, status.message) == (OK, "median NIS 2.00 (2.37 is expected)")
+    assert status.values["NIS dvl, mean of 100"] == "21.200"
+    nis.extend([6.0] * 100)
+    status = f.look()["dvl"]
+    assert status.level == WARN
+    assert "the median NIS of 100 measurements is 6.0, 2.37 is expected" in status.message
 
 
 REFUSALS = [
