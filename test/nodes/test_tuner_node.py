@@ -3,6 +3,7 @@
 import json
 import shutil
 import time
+from importlib import import_module
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,6 +16,7 @@ from starts import starts
 from std_srvs.srv import SetBool
 
 from insdvl.parameters.declaration import ParameterError
+from insdvl.tuner import tuner as tuner_of_core
 from insdvl.tuner.models import load_model
 from insdvl.tuner.parameters import TunerParameters
 from insdvl.tuner.tuner import Tuner
@@ -258,3 +260,33 @@ def test_an_estimator_of_your_own_is_published_and_its_failure_told(managed, tmp
     assert graph.diagnostics.report(NODE).values["model"] == own
     with pytest.raises(ParameterError, match="has no function 'absent'"):
         managed(Graph("/auv")).make(TunerNode, estimator="noise_of_a_node_test:absent")
+
+
+def test_an_estimator_that_is_slower_than_its_rate_is_named(managed, tmp_path, monkeypatch):
+    """By a clock that the estimator turns: 1.5 s in each call."""
+    clock = SimpleNamespace(now=0.0)
+    monkeypatch.setattr(tuner_of_core, "perf_counter", lambda: clock.now)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "slow_of_a_node_test.py").write_text(
+        "clock = None\n\n\ndef variances(samples, rate):\n"
+        "    if clock is not None:\n        clock.now += clock.seconds\n    return [1.0] * 6\n"
+    )
+    own = "slow_of_a_node_test:variances"
+    graph = managed(TunerGraph(estimator=own))
+    import_module("slow_of_a_node_test").clock = clock
+    rows = samples(1000)
+
+    def told(first: int, last: int, stamps: Any) -> diagnostics.Status:
+        graph.send([imu_message(k, rows[k]) for k in range(first, last)])
+        graph.wait_for_stamps(stamps)
+        (status,) = (s for s in graph.tuner.statuses() if s.cause == "process noise")
+        return status
+
+    clock.seconds = 0.9
+    status = told(0, 500, boundaries(3, 5))
+    assert status.level == diagnostics.OK and status.values["time per estimate [s]"] == "0.9"
+    clock.seconds = 1.5
+    status = told(500, 1000, boundaries(3, 10))
+    assert status.level == diagnostics.WARN
+    slow = f"estimator {own} takes 1.5 s per call, more than the 1 s between calls"
+    assert slow in status.message

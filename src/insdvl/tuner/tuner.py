@@ -12,8 +12,11 @@ history give the same bits.
 A period in which there are fewer than N samples since the last gap has no estimate.
 """
 
+from collections import deque
 from dataclasses import dataclass
 from fractions import Fraction
+from statistics import median
+from time import perf_counter
 
 import numpy as np
 
@@ -25,6 +28,9 @@ from insdvl.tuner.models import UnknownModelError, load_model
 from insdvl.tuner.own import HISTORY, WINDOW, EstimatorError, OwnEstimator
 from insdvl.tuner.parameters import TunerParameters
 from insdvl.tuner.windows import CHANNELS, MOST, Estimator, Window, period, pool_of, pooled
+
+#: Calls whose time is kept.
+CALLS = 5
 
 
 @dataclass(frozen=True)
@@ -45,7 +51,8 @@ class Tuner:
 
     Attributes:
         enabled: While False there are no estimates; the window is still filled.
-        name: Of the model, or of the estimator that is in its place.
+        kind: ``model``, or ``estimator`` where one of your own is in its place.
+        name: Of it.
         window: Least number of samples of an estimate, or of means of samples.
         failure: Of the estimator in use, the last one; empty while there was none.
     """
@@ -59,6 +66,8 @@ class Tuner:
                 too short for the differences.
         """
         self.enabled = parameters.enabled
+        self.kind = "estimator" if parameters.estimator else "model"
+        self._seconds: deque[float] = deque(maxlen=CALLS)  # that the last calls took
         self._estimate, self.window, self._history, self._pooling = self._chosen(parameters)
         if parameters.difference_order >= self.window:
             raise ParameterError(
@@ -93,6 +102,11 @@ class Tuner:
         return lambda windows: own(windows.T, self._window.rate(windows.shape[1]))
 
     @property
+    def seconds_per_call(self) -> float | None:
+        """Median time of the last estimates [s], None before the first; no number depends on it."""
+        return median(self._seconds) if self._seconds else None
+
+    @property
     def counts(self) -> dict[str, int]:
         """Samples used and dropped, see `Window`; windows used, too large, and failed."""
         return self._window.counts | self._made
@@ -118,6 +132,7 @@ class Tuner:
         if self._window.filled < k * self.window:
             return None
         estimate = bounded(pooled(self._estimate, k), self._difference_order, self.window)
+        begun = perf_counter()
         try:
             variances = estimate(self._window.samples()[:, -k * self._history :])
         except EstimatorError as error:
@@ -127,5 +142,7 @@ class Tuner:
         except ValueError:  # the samples are finite, their features are not
             self._made["too_large"] += 1
             return None
+        finally:
+            self._seconds.append(perf_counter() - begun)
         self._made["windows"] += 1
         return TunedNoise(stamp_ns, variances)
