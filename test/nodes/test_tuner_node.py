@@ -262,6 +262,24 @@ def test_an_estimator_of_your_own_is_published_and_its_failure_told(managed, tmp
         managed(Graph("/auv")).make(TunerNode, estimator="noise_of_a_node_test:absent")
 
 
+def test_a_failing_estimator_is_not_told_as_a_window_with_gaps(managed, tmp_path, monkeypatch):
+    later = 0.0
+    monkeypatch.setattr(node, "time", SimpleNamespace(monotonic=lambda: time.monotonic() + later))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "failing_of_a_node_test.py").write_text(
+        "def variances(samples, rate):\n    return [1.0] * 6 if len(samples) == 200 else 1 / 0\n"
+    )
+    graph = managed(TunerGraph(estimator="failing_of_a_node_test:variances"))
+    rows = samples(900)
+    graph.send([imu_message(k, rows[k]) for k in range(500)])
+    graph.tuner.statuses()
+    later = 20.0  # what was counted until then is not recent any more
+    graph.send([imu_message(k, rows[k]) for k in range(500, 900)])
+    (status,) = (s for s in graph.tuner.statuses() if s.cause == "process noise")
+    assert "4 times in the last 10 s: estimator" in status.message
+    assert "no window was usable" not in status.message
+
+
 def test_an_estimator_that_is_slower_than_its_rate_is_named(managed, tmp_path, monkeypatch):
     """By a clock that the estimator turns: 1.5 s in each call."""
     clock = SimpleNamespace(now=0.0)

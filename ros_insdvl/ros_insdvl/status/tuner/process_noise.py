@@ -73,10 +73,14 @@ class Learned:
             )
 
     def _learns_nothing(self, view: View) -> bool:
-        """Whether samples came all the time, for long enough, and no estimate."""
-        samples = view.received.recent[IMU]
+        """Whether samples came all the time, for long enough, and no window was full.
+
+        One of which nothing came was full: what came of it is told beside.
+        """
+        samples, events = view.received.recent[IMU], view.events.recent
         return (
             0 < samples < view.received.total[IMU]
+            and not events["failed"] + events["too_large"]
             and not view.sent.recent[PROCESS_NOISE]
             and RECENT * self._rate >= 2.0
         )
