@@ -538,7 +538,10 @@ def test_late_output_is_told_where_the_clocks_agree() -> None:
         last = f.watch._published.last
         assert last is not None
         f.watch.published(last, last.stamp_ns + delay_ns)
-        assert wrong(f.look()) == expected
+        statuses = f.look()
+        assert wrong(statuses) == expected
+        if expected:
+            assert "in the navigator, the tuner takes too long" in statuses["output"].message
 
 
 def test_a_time_jump_is_told_with_both_stamps() -> None:
