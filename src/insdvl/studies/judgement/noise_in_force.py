@@ -16,7 +16,7 @@ from insdvl.studies.replay.taken import Taken
 class NoiseInForce(Consumer):
     """Follows the noise in force, from one measurement that has taught to the next.
 
-    After a time jump it begins anew: what is told is of the last time that has any.
+    After a time jump it begins anew.
     """
 
     def __init__(self) -> None:
@@ -27,6 +27,8 @@ class NoiseInForce(Consumer):
 
     def take(self, filter_: Filter, states: Records) -> None:
         """See `Consumer`."""
+        if self._ended:
+            self._factors, self._origins, self._ended = {}, Counter(), False
         for known in initialised(states):
             taught_ns = known[f"{Dvl.name}_noise"]["learned_ns"]
             for k in np.flatnonzero(np.diff(taught_ns, prepend=self._last_ns)).tolist():
@@ -37,8 +39,6 @@ class NoiseInForce(Consumer):
         noise = filter_.noise_in_force(state, Dvl.name)
         if noise is None or stamp_ns == NEVER:  # it is that at a start
             return
-        if self._ended:
-            self._factors, self._origins, self._ended = {}, Counter(), False
         self._factors[stamp_ns] = noise.factor
         self._origins.update(noise.origins)
 
