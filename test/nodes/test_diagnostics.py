@@ -12,7 +12,7 @@ from told import TOLD
 
 from insdvl.messages.inputs import Inputs
 from insdvl.messages.refusals import Refused
-from insdvl.navigation.events import NS, Imu, ProcessNoise
+from insdvl.navigation.events import NS, Imu, ProcessNoise, SensorNoise
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build
@@ -21,6 +21,7 @@ from insdvl.timeline.jumps import TimeJump
 from insdvl.timeline.output import AppliedUpdate
 from insdvl.watch.sample_count import ExpectedSamples
 from ros_insdvl.status.diagnostics import ERROR, OK, WARN, Status, Tally, View
+from ros_insdvl.status.filter.measurement import MeasurementCause
 from ros_insdvl.status.filter.output import Output
 from ros_insdvl.status.filter.watch import FilterWatch
 from ros_insdvl.status.reasons import OF_FRAMES, OF_TIME, REMEDIES
@@ -88,7 +89,9 @@ class Filter:
         """A measurement, of which no two are the same."""
         self.pings += 1
         v_d = np.array([speed, 0.0, 1e-4 * self.pings])
-        assert self.fold.add(Dvl(stamp_ns, v_d, **of)) is None
+        ping = Dvl(stamp_ns, v_d, **of)
+        assert self.fold.add(ping) is None
+        self.watch.took(ping)
 
 
 def wrong(statuses: dict[str, Status]) -> dict[str, bytes]:
@@ -187,6 +190,23 @@ def test_the_mean_nis_of_each_measurement_has_a_key_of_its_own() -> None:
     assert keys == ["NIS dvl, mean of 2"]  # which the monitor looks for
 
 
+def test_message_and_level_of_the_nis_are_of_its_median() -> None:
+    """A few outliers carry the mean away, and are no reason to change the noise."""
+    f = Filter()
+    f.dvl(START_NS + 3 * NS)
+    f.samples(1, 301)
+    causes = (cause for cause in f.watch._causes if isinstance(cause, MeasurementCause))
+    nis = next(cause for cause in causes if cause._name == "dvl")._nis
+    nis.extend([2.0] * 60 + [50.0] * 40)
+    status = f.look()["dvl"]
+    assert (status.level, status.message) == (OK, "median NIS 2.00 (2.37 is expected)")
+    assert status.values["NIS dvl, mean of 100"] == "21.200"
+    nis.extend([6.0] * 100)
+    status = f.look()["dvl"]
+    assert status.level == WARN
+    assert "the median NIS of 100 measurements is 6.0, 2.37 is expected" in status.message
+
+
 REFUSALS = [
     ("imu/data_raw", "not_finite", "imu"),
     ("imu/data_raw", "no_data", "imu"),
@@ -205,6 +225,9 @@ REFUSALS = [
     ("dvl", "too_fast", "dvl"),
     ("process_noise", "bad_covariance", "process noise"),
     ("process_noise", "too_late", "time"),
+    ("measurement_noise", "bad_covariance", "measurement noise"),
+    ("measurement_noise", "no_data", "measurement noise"),
+    ("measurement_noise", "too_late", "time"),
     ("set_odometry", "bad_quaternion", "initialisation"),
     ("set_odometry", "out_of_range", "initialisation"),
 ]
@@ -214,7 +237,7 @@ REFUSALS = [
 def test_a_refused_message_is_told_once_with_what_to_do(
     topic: str, reason: str, cause: str
 ) -> None:
-    f = Filter(**{"process_noise.source": "external"})
+    f = Filter(**{"process_noise.source": "external", "dvl.noise_source": "learned"})
     f.samples(1, 21)
     f.fold.add(ProcessNoise(START_NS + NS // 5, np.eye(3), np.eye(3)))
     assert wrong(f.look()) == {}
@@ -241,6 +264,35 @@ def test_a_factor_at_the_end_of_its_range_is_told() -> None:
     status = f.look()["process noise"]
     assert status.level == WARN
     assert "factor on Q is 16, the largest that is possible" in status.message
+
+
+def test_the_noise_of_the_dvl_in_force_is_told_with_its_origin_and_age() -> None:
+    parameters = {"dvl.noise_source": "learned", "dvl.noise_std": (0.02,) * 3, "q_timeout": 1.0}
+    f = Filter(**parameters)
+    f.samples(1, 6)
+    status = f.look()["measurement noise"]
+    assert (status.level, status.message) == (OK, "learned, R is 1 times nominal: nominal")
+    assert status.values["R age [s]"] == "none received"
+    f.fold.add(SensorNoise(START_NS + NS // 10, "dvl", 9.0 * 0.02**2 * np.eye(3)))
+    f.dvl(START_NS + NS // 5)
+    f.samples(6, 61)
+    status = f.look()["measurement noise"]
+    assert (status.level, status.message) == (OK, "learned, R is 9 times nominal: received")
+    assert status.values["R age [s]"] == "0.500"
+    assert [status.values[f"R sigma {axis} [m/s]"] for axis in "xyz"] == ["0.06"] * 3
+    assert [status.values[f"R nominal sigma {axis} [m/s]"] for axis in "xyz"] == ["0.02"] * 3
+    for k in range(10, 30):
+        f.dvl(START_NS + k * NS // 10)
+    f.samples(61, 311)
+    status = f.look()["measurement noise"]
+    assert status.level == WARN and status.values["R origin"] == "own window"
+    assert "measurement_noise is 3.0 s old, more than the 1 s of q_timeout" in status.message
+
+
+def test_a_true_noise_of_the_dvl_that_does_not_come_is_told() -> None:
+    f = Filter(**{"dvl.noise_source": "oracle"})
+    f.samples(1, 21)
+    assert "no ground_truth/measurement_noise received" in f.look()["measurement noise"].message
 
 
 def test_every_counted_reason_has_a_remedy() -> None:
@@ -486,7 +538,10 @@ def test_late_output_is_told_where_the_clocks_agree() -> None:
         last = f.watch._published.last
         assert last is not None
         f.watch.published(last, last.stamp_ns + delay_ns)
-        assert wrong(f.look()) == expected
+        statuses = f.look()
+        assert wrong(statuses) == expected
+        if expected:
+            assert "in the navigator, the tuner takes too long" in statuses["output"].message
 
 
 def test_a_time_jump_is_told_with_both_stamps() -> None:
@@ -537,7 +592,8 @@ def test_wrong_axes_are_an_error_until_the_time_begins_again() -> None:
 
 def test_the_page_has_every_status_and_every_reason() -> None:
     page = PAGE.read_text(encoding="utf-8")
-    for cause in (*Filter().look(), "connections", "unexpected errors", "mission", "recording"):
+    learning = Filter(**{"dvl.noise_source": "learned"})
+    for cause in (*learning.look(), "connections", "unexpected errors", "mission", "recording"):
         assert f"`{cause}`" in page, cause
     for reason in REMEDIES:
         assert f"`{reason}`" in page, reason

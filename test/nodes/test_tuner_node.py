@@ -3,6 +3,7 @@
 import json
 import shutil
 import time
+from importlib import import_module
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,6 +16,7 @@ from starts import starts
 from std_srvs.srv import SetBool
 
 from insdvl.parameters.declaration import ParameterError
+from insdvl.tuner import tuner as tuner_of_core
 from insdvl.tuner.models import load_model
 from insdvl.tuner.parameters import TunerParameters
 from insdvl.tuner.tuner import Tuner
@@ -212,7 +214,7 @@ def test_a_wrong_parameter_is_named(managed):
 
 @pytest.fixture(scope="module")
 def bad_models(tmp_path_factory):
-    """Paths of an altered and of an absent model, with the start of a tuner with each."""
+    """An altered and an absent model and a wrong name, with the start of a tuner with each."""
     folder = tmp_path_factory.mktemp("models")
     for file in (SHIPPED, SHIPPED.with_suffix(".json")):
         shutil.copy(file, folder)
@@ -220,7 +222,7 @@ def bad_models(tmp_path_factory):
     data = bytearray(altered.read_bytes())
     data[len(data) // 2] ^= 1
     altered.write_bytes(data)
-    paths = [altered, absent]
+    paths = [altered, absent, "nope"]
     ended = starts("ros_insdvl.tuner", [["-p", f"model:={path}"] for path in paths])
     return list(zip(paths, ended, strict=True))
 
@@ -233,11 +235,12 @@ def test_an_altered_model_ends_the_node_with_its_name_and_hash(bad_models):
     assert "Traceback" not in ended.err
 
 
-def test_a_missing_model_ends_the_node_with_its_name(bad_models):
-    model, ended = bad_models[1]
-    assert ended.code == 1
-    assert str(model.with_suffix(".json")) in ended.err
-    assert "Traceback" not in ended.err
+def test_a_model_that_is_not_there_is_a_wrong_parameter(bad_models):
+    """Which a service file does not try again."""
+    for model, ended in bad_models[1:]:
+        assert ended.code == 2
+        assert f"parameter 'model': there is no model '{model}': shipped are bands" in ended.err
+        assert "Traceback" not in ended.err
 
 
 def test_an_estimator_of_your_own_is_published_and_its_failure_told(managed, tmp_path, monkeypatch):
@@ -257,3 +260,51 @@ def test_an_estimator_of_your_own_is_published_and_its_failure_told(managed, tmp
     assert graph.diagnostics.report(NODE).values["model"] == own
     with pytest.raises(ParameterError, match="has no function 'absent'"):
         managed(Graph("/auv")).make(TunerNode, estimator="noise_of_a_node_test:absent")
+
+
+def test_a_failing_estimator_is_not_told_as_a_window_with_gaps(managed, tmp_path, monkeypatch):
+    later = 0.0
+    monkeypatch.setattr(node, "time", SimpleNamespace(monotonic=lambda: time.monotonic() + later))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "failing_of_a_node_test.py").write_text(
+        "def variances(samples, rate):\n    return [1.0] * 6 if len(samples) == 200 else 1 / 0\n"
+    )
+    graph = managed(TunerGraph(estimator="failing_of_a_node_test:variances"))
+    rows = samples(900)
+    graph.send([imu_message(k, rows[k]) for k in range(500)])
+    graph.tuner.statuses()
+    later = 20.0  # what was counted until then is not recent any more
+    graph.send([imu_message(k, rows[k]) for k in range(500, 900)])
+    (status,) = (s for s in graph.tuner.statuses() if s.cause == "process noise")
+    assert "4 times in the last 10 s: estimator" in status.message
+    assert "no window was usable" not in status.message
+
+
+def test_an_estimator_that_is_slower_than_its_rate_is_named(managed, tmp_path, monkeypatch):
+    """By a clock that the estimator turns: 1.5 s in each call."""
+    clock = SimpleNamespace(now=0.0)
+    monkeypatch.setattr(tuner_of_core, "perf_counter", lambda: clock.now)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "slow_of_a_node_test.py").write_text(
+        "clock = None\n\n\ndef variances(samples, rate):\n"
+        "    if clock is not None:\n        clock.now += clock.seconds\n    return [1.0] * 6\n"
+    )
+    own = "slow_of_a_node_test:variances"
+    graph = managed(TunerGraph(estimator=own))
+    import_module("slow_of_a_node_test").clock = clock
+    rows = samples(1000)
+
+    def told(first: int, last: int, stamps: Any) -> diagnostics.Status:
+        graph.send([imu_message(k, rows[k]) for k in range(first, last)])
+        graph.wait_for_stamps(stamps)
+        (status,) = (s for s in graph.tuner.statuses() if s.cause == "process noise")
+        return status
+
+    clock.seconds = 0.9
+    status = told(0, 500, boundaries(3, 5))
+    assert status.level == diagnostics.OK and status.values["time per estimate [s]"] == "0.9"
+    clock.seconds = 1.5
+    status = told(500, 1000, boundaries(3, 10))
+    assert status.level == diagnostics.WARN
+    slow = f"estimator {own} takes 1.5 s per call, more than the 1 s between calls"
+    assert slow in status.message

@@ -132,6 +132,10 @@ def test_the_filter_takes_it_and_refuses_what_is_no_covariance(managed):
     graph.until(lambda: node.received["measurement_noise"] == 6)
     told = {refused.reason: count for refused, count in node.rejected.items()}
     assert told == {"bad_covariance": 3, "no_data": 2}
+    (status,) = (one for one in node.statuses() if one.cause == "measurement noise")
+    assert status.level != b"\0" and "3 bad_covariance" in status.message
+    assert status.values["received measurement_noise"] == 6
+    assert status.values["rejected measurement_noise: bad_covariance"] == 3
 
 
 def test_in_one_process_it_is_handed_on_and_another_vehicle_is_warned_of(

@@ -27,7 +27,7 @@ from insdvl.navigation.gate.gate import Gate
 from insdvl.navigation.geometry.frames import CONVENTIONS, rotation_from_rpy
 from insdvl.navigation.kalman import Innovated
 from insdvl.navigation.measurement_noise import source
-from insdvl.navigation.measurement_noise.source import MeasurementNoise
+from insdvl.navigation.measurement_noise.source import InForce, MeasurementNoise
 from insdvl.navigation.measurements import claims
 from insdvl.navigation.measurements.base import SensorModel, Turn, Vehicle
 from insdvl.navigation.measurements.report import UpdateReport
@@ -114,6 +114,11 @@ class Filter:
             for name, model in self.models.items()
             if model.noise_source != source.NOMINAL
         }
+
+    def noise_in_force(self, s: State, name: str) -> InForce | None:
+        """The noise of a measurement in force, None where it is nominal, see `MeasurementNoise`."""
+        noise = self._noises.get(name)
+        return None if noise is None else noise.in_force(s)
 
     def _fill_constants(self) -> None:
         parameters, vehicle, c = self.parameters, self.vehicle, self.constants[0]

@@ -34,6 +34,7 @@ CARD_FIELDS = {
     "sha256": str,
 }
 
+_SHIPPED = Path(str(files("insdvl") / "models"))
 
 MAX_CARD_BYTES = 2**20  # shipped cards have two kilobytes
 MAX_WINDOW = 10_000  # samples, 10 s at 1 kHz; a tuner keeps and processes all of them
@@ -41,6 +42,10 @@ MAX_WINDOW = 10_000  # samples, 10 s at 1 kHz; a tuner keeps and processes all o
 
 class ModelError(ValueError):
     """A model is missing, altered, or unusable in this version."""
+
+
+class UnknownModelError(ModelError):
+    """There is no such model: its name or its path is wrong."""
 
 
 class Regressor(Protocol):
@@ -170,8 +175,12 @@ def shipped_cards() -> list[Mapping[str, Any]]:
     Raises:
         ModelError: A card cannot be used.
     """
-    folder = Path(str(files("insdvl") / "models"))
-    return [_card(file) for file in sorted(folder.glob("*.json"))]
+    return [_card(file) for file in _shipped_files()]
+
+
+def _shipped_files() -> list[Path]:
+    """The cards' files of the shipped models, by name."""
+    return sorted(_SHIPPED.glob("*.json"))
 
 
 def load_model(name_or_path: str) -> Model:
@@ -180,13 +189,19 @@ def load_model(name_or_path: str) -> Model:
     A path has a separator or ends in the suffix of a kind of model, such as ``.npz``.
 
     Raises:
+        UnknownModelError: There is no such model; the message names the shipped ones.
         ModelError: A file is missing or altered, or the card does not fit. The message names the
             file and the expected SHA-256.
     """
     named = Path(name_or_path)
     is_path = "/" in name_or_path or named.suffix in {kind.suffix for kind in KINDS.values()}
-    shipped = Path(str(files("insdvl") / "models"))
-    card_file = named.with_suffix(".json") if is_path else shipped / f"{name_or_path}.json"
+    card_file = named.with_suffix(".json") if is_path else _SHIPPED / f"{name_or_path}.json"
+    if not any(os.path.lexists(file) for file in (card_file, named)[: 1 + is_path]):
+        names = ", ".join(file.stem for file in _shipped_files())
+        raise UnknownModelError(
+            f"there is no model {shown(name_or_path)}: shipped are {names}; one of your own is "
+            "named by the path of its file"
+        )
     card = _card(card_file)
     kind = KINDS[card["kind"]]
     file = named if is_path else card_file.with_suffix(kind.suffix)
@@ -194,8 +209,9 @@ def load_model(name_or_path: str) -> Model:
     try:
         data = read(file, kind.max_bytes)
     except OSError as error:
+        kind_of_error = UnknownModelError if isinstance(error, FileNotFoundError) else ModelError
         reason = error.strerror or error
-        raise ModelError(f"cannot read the model {file}: {reason}; {expected}") from error
+        raise kind_of_error(f"cannot read the model {file}: {reason}; {expected}") from error
     return _assembled(card, card_file, data, file)
 
 

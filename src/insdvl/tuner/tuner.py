@@ -12,8 +12,11 @@ history give the same bits.
 A period in which there are fewer than N samples since the last gap has no estimate.
 """
 
+from collections import deque
 from dataclasses import dataclass
 from fractions import Fraction
+from statistics import median
+from time import perf_counter
 
 import numpy as np
 
@@ -21,10 +24,13 @@ from insdvl.arrays import Array
 from insdvl.navigation.events import NS
 from insdvl.parameters.declaration import ParameterError
 from insdvl.tuner.features.differences import bounded
-from insdvl.tuner.models import load_model
+from insdvl.tuner.models import UnknownModelError, load_model
 from insdvl.tuner.own import HISTORY, WINDOW, EstimatorError, OwnEstimator
 from insdvl.tuner.parameters import TunerParameters
 from insdvl.tuner.windows import CHANNELS, MOST, Estimator, Window, period, pool_of, pooled
+
+#: Calls whose time is kept.
+CALLS = 5
 
 
 @dataclass(frozen=True)
@@ -45,7 +51,8 @@ class Tuner:
 
     Attributes:
         enabled: While False there are no estimates; the window is still filled.
-        name: Of the model, or of the estimator that is in its place.
+        kind: ``model``, or ``estimator`` where one of your own is in its place.
+        name: Of it.
         window: Least number of samples of an estimate, or of means of samples.
         failure: Of the estimator in use, the last one; empty while there was none.
     """
@@ -55,10 +62,12 @@ class Tuner:
 
         Raises:
             ModelError: The model cannot be used, see `load_model`.
-            ParameterError: The estimator cannot be used, or the window is too short for the
-                differences.
+            ParameterError: There is no such model, the estimator cannot be used, or the window is
+                too short for the differences.
         """
         self.enabled = parameters.enabled
+        self.kind = "estimator" if parameters.estimator else "model"
+        self._seconds: deque[float] = deque(maxlen=CALLS)  # that the last calls took
         self._estimate, self.window, self._history, self._pooling = self._chosen(parameters)
         if parameters.difference_order >= self.window:
             raise ParameterError(
@@ -81,13 +90,21 @@ class Tuner:
                 raise ParameterError(f"parameter 'estimator': {error}") from error
             self.name = own.name
             return self._own(own), WINDOW, HISTORY, False
-        model = load_model(parameters.model)
+        try:
+            model = load_model(parameters.model)
+        except UnknownModelError as error:
+            raise ParameterError(f"parameter 'model': {error}") from error
         model.variances(np.zeros((CHANNELS, model.window)))
         self.name = model.card["name"]
         return model.variances, model.window, model.history, model.schema.pooling
 
     def _own(self, own: OwnEstimator) -> Estimator:
         return lambda windows: own(windows.T, self._window.rate(windows.shape[1]))
+
+    @property
+    def seconds_per_call(self) -> float | None:
+        """Median time of the last estimates [s], None before the first; no number depends on it."""
+        return median(self._seconds) if self._seconds else None
 
     @property
     def counts(self) -> dict[str, int]:
@@ -115,6 +132,7 @@ class Tuner:
         if self._window.filled < k * self.window:
             return None
         estimate = bounded(pooled(self._estimate, k), self._difference_order, self.window)
+        begun = perf_counter()
         try:
             variances = estimate(self._window.samples()[:, -k * self._history :])
         except EstimatorError as error:
@@ -124,5 +142,7 @@ class Tuner:
         except ValueError:  # the samples are finite, their features are not
             self._made["too_large"] += 1
             return None
+        finally:
+            self._seconds.append(perf_counter() - begun)
         self._made["windows"] += 1
         return TunedNoise(stamp_ns, variances)

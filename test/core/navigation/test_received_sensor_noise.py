@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from insdvl.navigation.events import NS, Event, Imu, SensorNoise, refusal
-from insdvl.navigation.measurement_noise.source import LARGEST
+from insdvl.navigation.measurement_noise.source import LARGEST, InForce
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import (
     DvlParameters,
@@ -88,6 +88,36 @@ def test_it_is_in_effect_from_its_stamp_until_the_timeout() -> None:
     after = m.stamps_ns > AT + (TIMEOUT + 0.3) * NS
     # The corrections of the two have turned the pings a little differently.
     np.testing.assert_allclose(told[after], own[after], rtol=1e-2)
+
+
+def test_the_noise_in_force_is_told_with_where_it_is_from() -> None:
+    m, settings = mission(), parameters("learned")
+
+    def in_force(seconds: float, *events: Event) -> InForce:
+        fold = Fold(settings)
+        for event in (start(m, settings), *pings(m), *events, *samples(m)):
+            if event.stamp_ns <= seconds * NS:
+                fold.add(event)
+        state = fold.latest
+        assert state is not None
+        noise = fold.filter.noise_in_force(state, "dvl")
+        assert noise is not None and noise.factor == state["dvl_noise"]["factor"]
+        return noise
+
+    assert in_force(0.5) == InForce(1.0, {"nominal": 1.0}, None, timed_out=False)
+    own = in_force(6.0)
+    assert (own.text, own.age_ns, own.timed_out) == ("own window", None, False)
+    told = in_force(7.0, received(4.0))
+    assert (told.text, told.age_ns, told.timed_out) == ("received", 7 * NS - AT, False)
+    assert told.factor == pytest.approx(4.0)
+    old = in_force(10.0, received(4.0))
+    assert (old.text, old.timed_out) == ("own window", True)
+    settings = parameters("adaptive", q_factor=100.0)
+    mixed = in_force(12.0, received(4.0))
+    assert set(mixed.origins) <= {"innovations", "own window"}
+    assert sum(mixed.origins.values()) == pytest.approx(1.0)
+    settings = parameters("nominal")
+    assert Fold(settings).filter.noise_in_force(Fold(settings).filter.empty()[0], "dvl") is None
 
 
 def test_of_the_stamp_of_a_ping_it_is_that_ping_s() -> None:

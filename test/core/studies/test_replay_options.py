@@ -4,17 +4,25 @@ import json
 import re
 import signal
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from looked_at import flown, raws_of
 from recordings import save
 
 from insdvl.cli import main
 from insdvl.jobs.progress import Progress
+from insdvl.navigation.events import Event
+from insdvl.navigation.measurements.dvl import Dvl
+from insdvl.navigation.parameters import DvlParameters, FilterParameters, GateParameters
+from insdvl.studies.judgement.noise_in_force import NoiseInForce
 from insdvl.studies.replay import command
 from insdvl.studies.replay.inputs.watched import interruption
+from insdvl.studies.replay.taken import Taken
+from insdvl.timeline.recorded import fold_arrays
 
 CONFIG = """
 /**/insdvl_filter:
@@ -60,6 +68,52 @@ def test_the_factor_on_q_is_told_where_it_is_learned(
     document = replayed(folder, "--set", large, "--set", factor)
     assert document["process_noise_factor"] < 0.5
     assert f"{document['process_noise_factor']:.4g}" in capsys.readouterr().out
+
+
+def test_the_noise_of_the_dvl_in_force_is_told_where_it_is_learned(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A sigma that is told five times too large; by the tuner, and by the filter's own window."""
+    assert replayed(folder)["dvl_noise_in_force"] is None
+    assert "in force" not in capsys.readouterr().out
+    large = "dvl.noise_std=[0.1, 0.1, 0.1]"
+    learned = ("--set", large, "--set", "dvl.noise_source=learned")
+    for tuner, origin in (("true", "received"), ("false", "own window")):
+        setting = f"insdvl_tuner:measurement_noise={tuner}"
+        noise = replayed(folder, *learned, "--set", setting)["dvl_noise_in_force"]
+        assert noise["origins"][origin] > 0.6
+        assert sum(noise["origins"].values()) == pytest.approx(1.0)
+        factor, sigma = noise["factor"], noise["sigma"]
+        assert factor["min"] <= factor["mean"] <= factor["max"] == 1.0
+        assert sigma["max"] == pytest.approx(0.1)
+        assert 0.01 < sigma["min"] < 0.03 < sigma["mean"] < 0.07
+        shown = capsys.readouterr().out
+        assert f"sigma of the DVL in force        mean {sigma['mean']:.3g} m/s" in shown
+        assert f"{origin} {100.0 * noise['origins'][origin]:.0f} %" in shown
+
+
+def test_the_noise_in_force_is_that_of_the_last_part() -> None:
+    m = flown(12.0)
+    parameters = FilterParameters(
+        frame_convention="ned",
+        initial=replace(FilterParameters().initial, mode="parameters"),
+        dvl=DvlParameters(noise_source="learned"),
+        gate=GateParameters(enabled=False),
+    )
+    pairs = zip(m.dvl_stamps_ns.tolist(), m.v_d, strict=True)
+    pings: list[Event] = [Dvl(stamp_ns, v_d) for stamp_ns, v_d in pairs]
+    samples = np.hstack([m.f_b, m.w_ib_b])
+    result = fold_arrays(parameters, m.stamps_ns, m.f_b, m.w_ib_b, pings)
+    taken, noise = Taken.of(m.stamps_ns, samples, pings), NoiseInForce()
+    noise.take(result.filter, result.states)
+    noise.end()
+    told = noise.numbers(result.filter, taken)
+    assert told is not None and told["measurements"] == len(pings)
+    factors = result.states["dvl_noise"]["factor"]
+    assert told["factor"]["min"] == pytest.approx(factors[factors > 0.0].min())
+    noise.take(result.filter, result.states[:1])  # another time, in which nothing has taught
+    noise.end()
+    assert noise.numbers(result.filter, taken) is None
 
 
 def test_wrong_settings_are_told_together(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

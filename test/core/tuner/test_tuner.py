@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from insdvl.navigation.events import NS
-from insdvl.tuner.models import ModelError, load_model
+from insdvl.parameters.declaration import ParameterError
+from insdvl.tuner.models import load_model
 from insdvl.tuner.parameters import TunerParameters
 from insdvl.tuner.tuner import TunedNoise, Tuner
 from insdvl.tuner.windows import Window
@@ -239,7 +240,7 @@ def test_learns_the_variance_of_white_noise():
 
 
 def test_a_wrong_model_is_an_error_at_once():
-    with pytest.raises(ModelError, match="absent"):
+    with pytest.raises(ParameterError, match="absent"):
         Tuner(TunerParameters(model="absent"))
 
 

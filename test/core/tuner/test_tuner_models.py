@@ -10,10 +10,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from insdvl.parameters.declaration import ParameterError
 from insdvl.tuner import models
 from insdvl.tuner.features.handcrafted import FEATURE_NAMES, features
 from insdvl.tuner.features.schemas import SCHEMAS
-from insdvl.tuner.models import KINDS, ModelError, load_model, sha256, write_model
+from insdvl.tuner.models import (
+    KINDS,
+    ModelError,
+    UnknownModelError,
+    load_model,
+    sha256,
+    shipped_cards,
+    write_model,
+)
+from insdvl.tuner.parameters import TunerParameters
+from insdvl.tuner.tuner import Tuner
 
 
 @pytest.fixture
@@ -129,9 +140,13 @@ def test_a_missing_card_is_named(model):
         load_model(str(model))
 
 
-def test_an_unknown_name_says_where_it_was_looked_for():
-    with pytest.raises(ModelError, match=r"models.absent\.json: No such file"):
-        load_model("absent")
+@pytest.mark.parametrize("name", ["absent", "models/absent.npz", "absent.onnx", "n" * 300])
+def test_an_unknown_model_is_a_wrong_parameter_and_the_shipped_ones_are_named(name):
+    shipped = ", ".join(card["name"] for card in shipped_cards())
+    with pytest.raises(UnknownModelError, match=f"shipped are {shipped}; one of your own"):
+        load_model(name)
+    with pytest.raises(ParameterError, match="^parameter 'model': there is no model '[a-n]"):
+        Tuner(TunerParameters(model=name))
 
 
 @pytest.mark.parametrize(

@@ -93,5 +93,6 @@ class Output(Cause):
                 WARN,
                 "late",
                 f"odometry is published {p50 / NS:.1f} s after its stamp: the machine or the "
-                "network is too slow, or two clocks differ",
+                "network is too slow, two clocks differ, or, in the navigator, the tuner takes too "
+                "long: see its status process noise",
             )

@@ -18,6 +18,7 @@ from ros_insdvl.status.filter.frames import Frames
 from ros_insdvl.status.filter.imu import Imu
 from ros_insdvl.status.filter.initialisation import Initialisation
 from ros_insdvl.status.filter.measurement import MeasurementCause
+from ros_insdvl.status.filter.measurement_noise import MeasurementNoise
 from ros_insdvl.status.filter.output import Output
 from ros_insdvl.status.filter.process_noise import ProcessNoise
 from ros_insdvl.status.filter.state_file import KeptState
@@ -52,6 +53,7 @@ class FilterWatch:
         self._imu = Imu(parameters)
         self._frames = Frames(parameters, inputs)
         self._output = Output(parameters, self._published)
+        self._noises = MeasurementNoise.of(parameters, fold)
         self._causes: tuple[Cause, ...] = (
             Initialisation(parameters, inputs, fold, self._published),
             self._imu,
@@ -59,6 +61,7 @@ class FilterWatch:
                 MeasurementCause(name, topics, fold, self._published)
                 for name, topics in inputs.measured.items()
             ),
+            *self._noises,
             ProcessNoise(parameters, fold),
             Time(fold),
             self._frames,
@@ -95,6 +98,8 @@ class FilterWatch:
         """Let the causes see the events since the last look."""
         self._imu.took(self._taken)
         self._frames.took(self._taken)
+        for noise in self._noises:
+            noise.took(self._taken)
         self._taken.clear()
 
     def updated(self, update: AppliedUpdate) -> None:

@@ -48,6 +48,7 @@ class Learned:
             status.complain(
                 WARN, "failed", f"{count} times in the last {RECENT:.0f} s: {self._tuner.failure}"
             )
+        self._report_time(status, view)
         if latest is not None:
             sigmas = np.sqrt(latest.variances)
             show_sigmas(status, sigmas[:3], sigmas[3:])
@@ -55,11 +56,31 @@ class Learned:
         view.show(status, PROCESS_NOISE)
         return status
 
+    def _report_time(self, status: Status, view: View) -> None:
+        """How long an estimate takes: longer than until the next one, and the node gets behind."""
+        seconds, between = self._tuner.seconds_per_call, 1.0 / self._rate
+        if seconds is None:
+            return
+        status.values["time per estimate [s]"] = f"{seconds:.3g}"
+        recent = view.events.recent
+        if seconds > between and any(recent[name] for name in ("windows", "too_large", "failed")):
+            status.complain(
+                WARN,
+                "slow",
+                f"{self._tuner.kind} {self._tuner.name} takes {seconds:.2g} s per call, more than "
+                f"the {between:.3g} s between calls: the tuner falls behind, and in the navigator "
+                "the odometry with it; make it faster, or lower the tuner's rate",
+            )
+
     def _learns_nothing(self, view: View) -> bool:
-        """Whether samples came all the time, for long enough, and no estimate."""
-        samples = view.received.recent[IMU]
+        """Whether samples came all the time, for long enough, and no window was full.
+
+        One of which nothing came was full: what came of it is told beside.
+        """
+        samples, events = view.received.recent[IMU], view.events.recent
         return (
             0 < samples < view.received.total[IMU]
+            and not events["failed"] + events["too_large"]
             and not view.sent.recent[PROCESS_NOISE]
             and RECENT * self._rate >= 2.0
         )

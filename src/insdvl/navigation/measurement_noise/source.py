@@ -6,7 +6,7 @@ gate takes as it is teaches: not one that is refused, doubted, used softly, or t
 at rest, nor one beside an IMU that is in doubt.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -64,6 +64,34 @@ FIELDS = (
 )
 
 
+#: What an R in force is made from.
+INNOVATIONS, RECEIVED, WINDOW = "innovations", "received", "own window"
+
+
+class InForce(NamedTuple):
+    """The noise that the last measurement that taught had, and the next one is expected to have.
+
+    Attributes:
+        factor: On the nominal covariance.
+        origins: The share of each of `INNOVATIONS`, `RECEIVED`, `WINDOW` and `NOMINAL` in it, that
+            is not zero.
+        age_ns: Of the covariance that was received last; None before the first one.
+        timed_out: Whether that one was too old for the last measurement that taught.
+    """
+
+    factor: float
+    origins: dict[str, float]
+    age_ns: int | None
+    timed_out: bool
+
+    @property
+    def text(self) -> str:
+        """The origins in words."""
+        if len(self.origins) == 1:
+            return next(iter(self.origins))
+        return ", ".join(f"{name} {100.0 * share:.0f} %" for name, share in self.origins.items())
+
+
 def smallest_factor(R_0: Array, floor: float) -> float:
     """Smallest factor on a nominal covariance (m, m) that a floor of the sigmas allows."""
     variances = np.diagonal(R_0)
@@ -100,6 +128,26 @@ class MeasurementNoise:
         """A covariance takes the place of the window's factor from its stamp on."""
         m = s[self._group]
         m["received"], m["received_ns"], m["received_factor"] = event.R, event.stamp_ns, 0.0
+
+    def in_force(self, s: State) -> InForce:
+        """The noise in force, and where it is from."""
+        m = s[self._group]
+        age_ns = None
+        if m["received_ns"] != NEVER:
+            age_ns = int(s["nav"]["time_ns"]) - int(m["received_ns"])
+        if m["learned_ns"] == NEVER:
+            return InForce(1.0, {NOMINAL: 1.0}, age_ns, timed_out=False)
+        learned_ns = int(m["learned_ns"])
+        basis, timed_out = NOMINAL, not self._in_time(m, learned_ns) and age_ns is not None
+        if self._in_time(m, learned_ns):
+            basis = RECEIVED
+        elif len(window.recent(m["squares"], m["squares_ns"], learned_ns)) >= window.FEWEST:
+            basis = WINDOW
+        told = Correlation(float(m["product"]), float(m["square"]), int(m["pairs"]))
+        doubt = self._doubt(told, len(m["innovation"]))
+        shares = {INNOVATIONS: 1.0 - doubt, basis: doubt}
+        origins = {name: share for name, share in shares.items() if share > 0.0}
+        return InForce(float(m["factor"]), origins, age_ns, timed_out)
 
     # ---------------------------------------------------------------- the pings, carried by the IMU
 
@@ -189,7 +237,7 @@ class MeasurementNoise:
             of_window = window.mean_factor(window.recent(m["squares"], m["squares_ns"], stamp_ns))
         found = self._believe(m, stamp_ns, innovation, low)
         told = Correlation(float(m["product"]), float(m["square"]), int(m["pairs"]))
-        doubt = 1.0 if self._learned else guard.doubt(told, int(measured.sum()))
+        doubt = self._doubt(told, int(measured.sum()))
         of_window = min(max(1.0 if of_window is None else of_window, low), LARGEST)
         factor = guard.between(found.gain, of_window, doubt)
         if measured.all():
@@ -197,13 +245,23 @@ class MeasurementNoise:
         m["factor"], m["learned_ns"] = factor, stamp_ns
         return Factors(factor, factor * (found.covariance / found.gain) ** (1.0 - doubt))
 
+    def _doubt(self, told: Correlation, components: int) -> float:
+        """How far the innovations are not believed; what is learned does without them."""
+        return 1.0 if self._learned else guard.doubt(told, components)
+
+    def _in_time(self, m: State, stamp_ns: int) -> bool:
+        """Whether a covariance was received that is not too old at a stamp."""
+        return bool(
+            m["received_ns"] != NEVER and stamp_ns - int(m["received_ns"]) <= self._timeout_ns
+        )
+
     def _received(self, m: State, stamp_ns: int, R_0: Array, *, comparable: bool) -> float | None:
         """The received factor; None where none is in effect.
 
         A covariance is compared with the nominal one of the measurement that has its stamp, or is
         the first one after it: what a message tells of single measurements stays in theirs.
         """
-        if m["received_ns"] == NEVER or stamp_ns - int(m["received_ns"]) > self._timeout_ns:
+        if not self._in_time(m, stamp_ns):
             return None
         if m["received_factor"] == 0.0 and comparable:
             m["received_factor"] = np.trace(np.linalg.solve(R_0, m["received"])) / len(R_0)

@@ -23,6 +23,7 @@ from insdvl.recordings.played import Recording
 from insdvl.studies.arguments.output import TERMINAL
 from insdvl.studies.document import check_place, write_document
 from insdvl.studies.judgement.incidents import incidents_of
+from insdvl.studies.judgement.noise_in_force import NoiseInForce
 from insdvl.studies.judgement.verdict import Verdict, verdict
 from insdvl.studies.replay.fold import Replayed, fold_recording, read
 from insdvl.studies.replay.inputs.between import Between
@@ -141,6 +142,8 @@ def _navigated(
     progress = Progress("seconds", max(int(end - (arguments.begin or 0.0)), 1))
     recording = Watched(recording, progress if sys.stderr.isatty() else None, ends)
 
+    in_force = NoiseInForce()
+
     def judged(replayed: Replayed) -> tuple[dict[str, Any], Verdict]:
         if not replayed.last.known_ns:
             raise BagError(
@@ -155,6 +158,7 @@ def _navigated(
             "configuration": configuration.text,
             "process_noise": q_from,
             "measurement_noise": r_from,
+            "dvl_noise_in_force": in_force.numbers(replayed.fold.filter, replayed.taken),
             "injected_noise": asdict(injection) if injection else None,
             "parameters": {"insdvl_filter": flatten(filter_), "insdvl_tuner": flatten(tuner)},
             "verdict": judgement.numbers,
@@ -168,12 +172,12 @@ def _navigated(
     without_report = ""
     if out is None:
         with progress:
-            replayed = fold_recording(recording, filter_)
+            replayed = fold_recording(recording, filter_, [in_force])
         document, judgement = judged(replayed)
     else:
         with Output(out, filter_, arguments.rate) as output:
             with progress:
-                replayed = fold_recording(recording, filter_, [output])
+                replayed = fold_recording(recording, filter_, [in_force, output])
             document, judgement = judged(replayed)
             without_report = output.finish(replayed, document)
     return document, judgement, without_report

@@ -56,6 +56,8 @@ def table_of(document: dict[str, Any]) -> Iterator[Line]:
         if isinstance(value, float):
             shown = f"{value:.4g}"
         yield Line(text, f"{shown} {unit}".rstrip())
+    if noise := document["dvl_noise_in_force"]:
+        yield from _noise_in_force(noise)
     if jumps := document["counts"]["time_jumps"]:
         yield Line("time jumps", f"{jumps}; errors are those after the last one")
     if document["start"]:
@@ -65,6 +67,19 @@ def table_of(document: dict[str, Any]) -> Iterator[Line]:
             yield Line("", f"finding: {finding}")
     for key, count in document["rejected"].items():
         yield Line(f"not used: {key}", str(count))
+
+
+def _noise_in_force(noise: dict[str, Any]) -> Iterator[Line]:
+    """The noise of the DVL that the filter used where it is not nominal."""
+    for label, name, unit in (
+        ("sigma of the DVL in force", "sigma", " m/s"),
+        ("factor on its nominal R", "factor", ""),
+    ):
+        if told := noise[name]:
+            text = f"mean {told['mean']:.3g}{unit} ({told['min']:.3g} to {told['max']:.3g})"
+            yield Line(label, text)
+    shares = (f"{name} {100.0 * share:.0f} %" for name, share in noise["origins"].items())
+    yield Line("where it is from", ", ".join(shares))
 
 
 def _told(finding: str, document: dict[str, Any]) -> bool:
