@@ -6,17 +6,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_judgement import NS, RIGHT, flown, judged
+from recordings import record
+from test_judgement import NS, RIGHT, TOPICS, flown, judged
 
 from insdvl.arrays import Array
 from insdvl.navigation.geometry.frames import rotation_from_rpy, rpy_from_rotation
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build
+from insdvl.recordings.base import decode, encode
+from insdvl.recordings.played import Listed
 from insdvl.studies.evaluation.metrics import Track, path_length
 from insdvl.studies.judgement import pose
 from insdvl.studies.judgement.innovations import CHANCE
 from insdvl.studies.replay.part import Travelled
-from insdvl.studies.replay.reference import AtReference
+from insdvl.studies.replay.reference import AtReference, reference_of
 
 COUNT = 400
 DOCUMENT: dict[str, Any] = {"start": None}
@@ -138,3 +141,18 @@ def test_a_dvl_that_is_refused_comes_before_the_heading_that_it_could_not_tell()
     found, _ = judged(without, initial__mode="auto")
     assert [finding.name for finding in found.findings][:2] == ["refused", "heading"]
     assert "100 % of the DVL was refused" in found.judgement
+
+
+@pytest.mark.parametrize("dominant", [True, False])
+def test_what_a_reference_says_of_its_own_error_is_read(dominant: bool) -> None:
+    """By the fast decoder, and by the general one where the covariance is not plain."""
+    raws = [raw for raw in record(flown(11, duration=3.0), every=100) if raw.topic == "/truth"]
+    for k, raw in enumerate(raws):
+        message = decode(raw._replace(topic=TOPICS["/truth"])).message
+        P = np.diag([4.0, 5.0, 1.0, 0.1, 0.1, 0.25])
+        P[0, 1] = P[1, 0] = 0.0 if dominant else 4.2
+        message.pose.covariance = P.ravel()
+        raws[k] = encode(TOPICS["/truth"], raw.time_ns, message)
+    stamps_ns, _, sigma = reference_of(Listed(raws))
+    assert len(stamps_ns) == len(raws)
+    np.testing.assert_allclose(sigma, np.tile([0.5, 3.0], (len(raws), 1)))
