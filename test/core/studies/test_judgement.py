@@ -19,11 +19,11 @@ from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.motion import Channel, Trajectory, Wave
-from insdvl.simulation.noise import SCENARIOS
+from insdvl.simulation.noise import SCENARIOS, constant
 from insdvl.simulation.sensors.dvl import DvlModel
 from insdvl.simulation.trajectories import BASELINE
 from insdvl.studies.judgement import innovations, verdict, withheld
-from insdvl.studies.judgement.mounting import UNKNOWNS, Change
+from insdvl.studies.judgement.mounting import UNKNOWNS, Change, mounting
 from insdvl.studies.judgement.noise import DvlNoise, imu_variances
 from insdvl.studies.judgement.verdict import Verdict
 from insdvl.studies.replay.fold import Replayed, fold_recording
@@ -206,6 +206,15 @@ def test_the_mount_is_accused_only_beyond_chance_and_beyond_careful_installation
     assert "; or the stamps of the DVL are 0.10 s late" in two.text
 
 
+def test_a_lever_arm_that_no_vehicle_has_is_not_advised() -> None:
+    parameters = build(FilterParameters, RIGHT)
+    for value, count in ((-3.0, 1), (-23.09, 0)):
+        mount = tuple(
+            Change(u, *((value, 0.2) if u.name == "lever_arm_z" else (0.0, 1.0))) for u in UNKNOWNS
+        )
+        assert len(list(verdict._of_mount(mount, parameters))) == count
+
+
 def test_noise_up_to_the_floor_is_no_finding() -> None:
     """4 mm/s from ping to ping say nothing of errors that last, for which 10 mm/s are told."""
     parameters = build(FilterParameters, RIGHT)
@@ -320,6 +329,40 @@ def test_the_estimates_are_as_uncertain_as_they_say(short: tuple[Verdict, Replay
     z = [c["change"] / c["sigma"] for c in found.numbers["mounting"].values()]
     assert len(z) == len(UNKNOWNS)
     assert 0.05 < float(np.mean(np.square(z))) < 3.3  # chi-square with 8 dof, 1 in 1000 above
+
+
+@pytest.mark.parametrize("gyroscope_variance", [1e-5, 1e-4])
+def test_where_noise_may_be_all_that_turns_the_vehicle_no_lever_arm_is_advised(
+    gyroscope_variance: float,
+) -> None:
+    """A gyroscope that is told to be far noisier than it is: added noise hides the turns."""
+    mission = simulate(
+        TRAJECTORY,
+        constant([1e-6] * 3 + [1e-8] * 3),
+        seed=21,
+        dvl=replace(DVL, noise_std=(0.005,) * 3, lever_arm=(0.0, 1.0, -1.0)),
+        duration=90.0,
+        start_ns=NS,
+    )
+    names = {
+        "process_noise.accelerometer_variance": (1e-6,) * 3,
+        "process_noise.gyroscope_variance": (gyroscope_variance,) * 3,
+        "dvl.noise_std": (0.01,) * 3,
+    }
+    parameters = build(FilterParameters, RIGHT | names)
+    recording = [raw._replace(topic=TOPICS[raw.topic]) for raw in record(mission, every=100)]
+    replayed = fold_recording(recording, parameters)
+    used = {u.stamp_ns for u in replayed.updates if u.report.corrected}
+    found = mounting(replayed.taken, parameters, used, np.random.default_rng(0))
+    assert found is not None
+    by_name = {change.unknown.name: change for change in found}
+    y, z = by_name["lever_arm_y"], by_name["lever_arm_z"]
+    assert math.isinf(z.sigma) and not z.matters
+    if gyroscope_variance < 1e-4:  # the slow turns of the course are left
+        assert y.matters and y.value == pytest.approx(-1.0, abs=0.3)
+    else:
+        assert math.isinf(y.sigma) and not y.matters
+    assert "its lever arm" in list(verdict._not_shown(found))
 
 
 CASES: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {

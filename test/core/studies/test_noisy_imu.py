@@ -1,5 +1,7 @@
 """The noise of the IMU, however large, accuses neither the scale of the DVL nor anything else."""
 
+import math
+
 import numpy as np
 import pytest
 from recordings import record
@@ -13,7 +15,15 @@ from insdvl.simulation.mission import simulate
 from insdvl.simulation.noise import SCENARIOS
 from insdvl.simulation.trajectories import AUV
 from insdvl.studies.judgement.added_noise import told_variances
-from insdvl.studies.judgement.mounting import MOUNT_SIGMAS, Sums, _without_noise
+from insdvl.studies.judgement.mounting import (
+    MOUNT_SIGMAS,
+    UNKNOWNS,
+    Change,
+    Sums,
+    _changes,
+    _improves,
+    _without_noise,
+)
 from insdvl.studies.judgement.verdict import verdict
 from insdvl.studies.judgement.withheld import GRAVITY, of_curvature
 from insdvl.studies.replay.fold import fold_recording
@@ -68,6 +78,32 @@ def test_what_noise_makes_of_a_scale_is_found_by_adding_it_once_more(scale: floa
         assert value == pytest.approx(1.0 - 1.0 / (1.0 + scale), abs=0.05)
     else:
         assert abs(sigmas(found)) < 3.0
+
+
+def test_what_may_be_noise_alone_tells_nothing() -> None:
+    """Added noise has more information than all that the recording has; or one that varies."""
+    sums = Sums(np.array([1.0]), np.array([-20.0]), np.array([1.0]))
+
+    def noisy(*informations: float) -> list[Sums]:
+        return [Sums(np.array([i]), sums.gradient, sums.variance) for i in informations]
+
+    for informations, left in (
+        ((2.8, 2.6, 3.0), 0.0),
+        ((1.5, 1.49, 1.51), 0.0),  # with a sigma 1.5 times as large it is more than all
+        ((1.1, 2.0, 0.3), 0.0),
+        ((1.1, 1.11, 1.09), 0.9),
+    ):
+        found = _without_noise(sums, noisy(*informations))
+        assert found.information[0] == pytest.approx(left)
+        (change,) = _changes(UNKNOWNS[:1], found)
+        assert change.matters == bool(left) and math.isinf(change.sigma) != bool(left)
+
+
+def test_a_step_that_makes_the_innovations_less_probable_is_no_explanation() -> None:
+    arm = next(unknown for unknown in UNKNOWNS if unknown.name == "lever_arm_z")
+    recorded = Change(arm, -0.2, 0.02)
+    for value, improves in ((-0.25, True), (-0.5, False), (0.3, False)):
+        assert _improves(Change(arm, value, 0.02), recorded) is improves
 
 
 def test_the_noise_that_is_added_is_what_the_filter_was_told() -> None:

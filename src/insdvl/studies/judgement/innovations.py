@@ -22,6 +22,8 @@ from insdvl.watch.consistency import nis_interval, nis_median, scaled_nis
 CHANCE = 1e-3
 #: Sigmas of a normal number that is beyond its bound by chance, on either side.
 SIGMAS = float(-ndtri(CHANCE / 2.0))
+#: A sigma is seldom known better than by this factor; what is nearer to right is no finding.
+FACTOR = 1.5
 #: Sigmas that an innovation has at most in the autocorrelation: one outlier decides nothing.
 OUTLIER = 4.0
 #: Fewest judged measurements from which anything is concluded.

@@ -22,7 +22,7 @@ from insdvl.navigation.geometry.frames import (
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.studies.judgement.added_noise import noisier
-from insdvl.studies.judgement.innovations import variance_of_sum
+from insdvl.studies.judgement.innovations import FACTOR, variance_of_sum
 from insdvl.studies.replay.taken import MOST, Taken
 
 #: The samples of the IMU are averaged over so long [s]: a vehicle that turns by 20 deg/s turns by a
@@ -34,9 +34,10 @@ END = 0.5
 FEWEST = 50
 #: Sigmas of an unknown of the mount: the chance of any of eight is that of one other rule.
 MOUNT_SIGMAS = 4.0
-#: How often noise is added where something seems wrong, and the least share of the information that
-#: is taken to be left without noise.
-REPEATS, LEAST = 8, 0.01
+#: How often noise is added where something seems wrong.
+REPEATS = 8
+#: A DVL is not farther from base_link than this [m]; a longer lever arm is never advised.
+LONGEST_ARM = 15.0
 
 
 @dataclass(frozen=True)
@@ -72,8 +73,8 @@ class Change:
 
     Attributes:
         unknown: What it is.
-        value: Of the change, which is to be added to what is told.
-        sigma: One sigma of it.
+        value: Of the change, which is to be added to what is told; 0 where nothing is known of it.
+        sigma: One sigma of it; infinite where nothing is known.
     """
 
     unknown: Unknown
@@ -186,16 +187,48 @@ def mounting(
         ]
         known = _without_noise(kept, [found for found in noisy if found is not None])
         for k, change in zip(suspected, _changes(unknowns, known), strict=True):
-            changes[k] = change
+            changes[k] = change if _improves(change, changes[k]) else _unknown(change.unknown)
     return tuple(changes)
+
+
+def can_be(change: Change, parameters: FilterParameters) -> bool:
+    """Whether a vehicle can have what a change leads to."""
+    told = parameters.dvl.lever_arm
+    arm = told_otherwise(parameters, [], change.unknown, change.value, {})[0].dvl.lever_arm
+    return math.hypot(*arm) <= max(LONGEST_ARM, math.hypot(*told))
+
+
+def _unknown(unknown: Unknown) -> Change:
+    """Of an unknown of which the recording says nothing."""
+    return Change(unknown, 0.0, math.inf)
+
+
+def _improves(change: Change, recorded: Change) -> bool:
+    """Whether a change that matters makes the innovations of the recording more probable.
+
+    Their weighted squares are a parabola with its least value at the change that the recording has
+    with its noise. A step to beyond twice of that, or to the other side, makes them larger.
+
+    Args:
+        change: What is left without noise.
+        recorded: With the noise.
+    """
+    return not change.matters or 0.0 < change.value / recorded.value < 2.0
 
 
 def _changes(unknowns: Sequence[Unknown], sums: Sums) -> list[Change]:
     """The most probable change of each unknown."""
-    steps, sigmas = -sums.gradient / sums.information, np.sqrt(sums.variance) / sums.information
     return [
-        Change(unknown, float(value) * unknown.step, float(sigma) * unknown.step)
-        for unknown, value, sigma in zip(unknowns, steps, sigmas, strict=True)
+        Change(
+            unknown,
+            float(-gradient / information) * unknown.step,
+            float(math.sqrt(variance) / information) * unknown.step,
+        )
+        if information > 0.0
+        else _unknown(unknown)
+        for unknown, information, gradient, variance in zip(
+            unknowns, sums.information, sums.gradient, sums.variance, strict=True
+        )
     ]
 
 
@@ -211,17 +244,27 @@ def _without_noise(sums: Sums, noisy: Sequence[Sums]) -> Sums:
     Args:
         sums: As the recording has them.
         noisy: With noise added.
+
+    Returns:
+        The sums; the information is zero where noise may be all there is.
     """
     if len(noisy) < 2:
         return sums
+    count = len(noisy)
     gradients = np.array([one.gradient for one in noisy])
-    information = 2.0 * sums.information - np.mean([one.information for one in noisy], axis=0)
-    return Sums(
-        # Where hardly anything is left, nothing is known: the sigma is large.
-        np.maximum(information, LEAST * sums.information),
-        2.0 * sums.gradient - gradients.mean(axis=0),
-        sums.variance + gradients.var(axis=0, ddof=1) / len(noisy),
-    )
+    informations = np.array([one.information for one in noisy])
+    gradient = 2.0 * sums.gradient - gradients.mean(axis=0)
+    of_noise = np.maximum(informations.mean(axis=0) - sums.information, 0.0)
+    information = sums.information - of_noise
+    # A sigma is seldom told better than to FACTOR, and what is added differs from time to time. If
+    # noise explains all the information so, the motion tells nothing: any value would be that of
+    # a gradient over an information that is not known.
+    doubt = informations.std(axis=0, ddof=1) / math.sqrt(count)
+    is_left = sums.information > FACTOR**2 * of_noise + MOUNT_SIGMAS * doubt
+    # Of the gradient at the estimate: both sums have a part in it.
+    value = -gradient / np.where(is_left, information, np.inf)
+    of_added = (gradients + value * informations).var(axis=0, ddof=1) / count
+    return Sums(np.where(is_left, information, 0.0), gradient, sums.variance + of_added)
 
 
 def _sums(part: Taken, parameters: FilterParameters, unknowns: Sequence[Unknown]) -> Sums | None:

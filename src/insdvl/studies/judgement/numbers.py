@@ -21,6 +21,13 @@ def refusals(document: dict[str, Any]) -> Counter[str]:
     return reasons
 
 
+def by_name(document: dict[str, Any]) -> Counter[str]:
+    """Those that were not refused by the gate: no lock, repeated, late, of another frame."""
+    reasons = refusals(document)
+    reasons.pop("gate", None)
+    return reasons
+
+
 def judged_count(document: dict[str, Any]) -> int:
     """Number of measurements of the DVL that the filter could judge."""
     return int(refusals(document).total() + document["dvl_accepted"])
@@ -60,7 +67,7 @@ def position(replayed: Replayed) -> dict[str, Any] | None:
     down = filter_.vehicle.axes.nav[2, 2]
     heading = last.known[0]["nav"]["P"][ATTITUDE.stop - 1, ATTITUDE.stop - 1]
     return {
-        "distance": last.path.length,
+        "distance": last.travelled.length,
         "horizontal": end.position[:2].tolist(),
         "horizontal_sigma": math.sqrt(float(np.linalg.eigvalsh(P[:2, :2])[-1])),
         "depth_below_origin": float(down * end.position[2]),

@@ -17,59 +17,39 @@ from insdvl.files import finite
 from insdvl.navigation.filter import Filter
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
-from insdvl.studies.judgement.innovations import FEWEST, SIGMAS, statistics
+from insdvl.studies.judgement.finding import Finding
+from insdvl.studies.judgement.innovations import FACTOR, FEWEST, SIGMAS, statistics
 from insdvl.studies.judgement.mounting import (
     ARMS,
     MOUNT_SIGMAS,
     Change,
     Mount,
+    can_be,
     mounting,
     told_otherwise,
 )
 from insdvl.studies.judgement.noise import DvlNoise, dvl_noise, imu_variances
 from insdvl.studies.judgement.numbers import (
     biases,
+    by_name,
     changes,
     judged_count,
     position,
     refusals,
     refused_share,
 )
+from insdvl.studies.judgement.pose import against_reference, of_pose, of_velocity
 from insdvl.studies.judgement.withheld import WINDOWS, Withheld, predictions
 from insdvl.studies.replay.fold import Replayed
 from insdvl.studies.replay.taken import MOST
 from insdvl.watch.start import DIVERGED
 
-#: A sigma is seldom known better than by this factor; what is nearer to right is no finding.
-FACTOR = 1.5
 #: Seed of the noise that is added to find what noise makes of the mount.
 SEED = 0
 #: Share of the measurements that are refused, beyond which it is a finding.
 REFUSED = 0.02
 #: Correlation of neighbours, and mean innovation in its sigmas, beyond which they matter.
 CORRELATED, OFFSET = 0.2, 0.2
-
-
-@dataclass(frozen=True)
-class Finding:
-    """Something that does not fit.
-
-    Attributes:
-        name: Short, for programs.
-        text: What does not fit.
-        remedy: What to set, and to what.
-        cautious: Whether the filter only expects larger errors than it has.
-    """
-
-    name: str
-    text: str
-    remedy: str
-    cautious: bool = False
-
-    @property
-    def sentence(self) -> str:
-        """Both in one line."""
-        return f"{self.text}: {self.remedy}" if self.remedy else self.text
 
 
 @dataclass(frozen=True)
@@ -119,8 +99,14 @@ def verdict(replayed: Replayed, parameters: FilterParameters, document: dict[str
         if is_meaningful and (found := predictions(part, parameters, used, seconds))
     ]
     imu = imu_variances(part)
-    findings = [*_of_axes(replayed), *diverged, *_of_start(document)]
-    findings += _of_claims(document, filter_)
+    reference = against_reference(replayed.at_reference)
+    claims, start = list(_of_claims(document, filter_)), list(_of_start(document))
+    # Without most of the DVL neither heading nor position can be found: then that is the cause.
+    is_cause = 2 * by_name(document).total() > judged_count(document)
+    findings = [*_of_axes(replayed), *diverged, *(claims if is_cause else [])]
+    if is_meaningful:
+        findings += of_pose(reference, document, parameters)
+    findings += [*start, *([] if is_cause else claims)]
     if is_meaningful:
         findings += [
             *_of_dvl_noise(noise, parameters),
@@ -129,13 +115,14 @@ def verdict(replayed: Replayed, parameters: FilterParameters, document: dict[str
             *_of_prediction(innovations, noise, withheld, parameters, imu),
             *_of_biases(document),
             *_of_whiteness(innovations, noise),
-            *_of_reference(document),
+            *of_velocity(document),
         ]
     numbers = {
         "innovations": innovations,
         "refused_share": refused_share(document),
         "biases": biases(filter_, replayed),
         "position": position(replayed),
+        "reference": asdict(reference) if reference else None,
         "dvl_noise": asdict(noise) if noise else None,
         "imu_variance_by_differences": imu,
         "mounting": changes(mount),
@@ -173,7 +160,7 @@ def _not_shown(mount: Mount | None) -> Iterator[str]:
     """What could be off by twice what care allows and be no finding, with its sigma."""
     if mount is None:
         return
-    by_name = {change.unknown.name: change for change in mount}
+    all_of = {change.unknown.name: change for change in mount}
     for names, shown, scale, unit in (
         (("mount_x",), "the roll of the DVL", math.degrees(1.0), "deg"),
         (("mount_y",), "its pitch", math.degrees(1.0), "deg"),
@@ -182,9 +169,10 @@ def _not_shown(mount: Mount | None) -> Iterator[str]:
         (("time_offset",), "its time offset", 1.0, "s"),
         (("scale",), "its scale", 100.0, "%"),
     ):
-        worst = max((by_name[name] for name in names), key=lambda change: change.sigma)
+        worst = max((all_of[name] for name in names), key=lambda change: change.sigma)
         if MOUNT_SIGMAS * worst.sigma > 2.0 * worst.unknown.careful:
-            yield f"{shown} (sigma {worst.sigma * scale:.2g} {unit})"
+            is_known = math.isfinite(worst.sigma)
+            yield f"{shown} (sigma {worst.sigma * scale:.2g} {unit})" if is_known else shown
 
 
 # ---------------------------------------------------------------- the rules
@@ -211,8 +199,7 @@ def _of_start(document: dict[str, Any]) -> Iterator[Finding]:
 
 def _of_claims(document: dict[str, Any], filter_: Filter) -> Iterator[Finding]:
     """What is refused by name: no lock, repeated, too fast, late, of another frame."""
-    reasons = refusals(document)
-    reasons.pop("gate", None)
+    reasons = by_name(document)
     if not reasons or reasons.total() < REFUSED * judged_count(document):
         return
     reason, _ = reasons.most_common(1)[0]
@@ -251,7 +238,7 @@ def _of_mount(mount: Mount | None, parameters: FilterParameters) -> Iterator[Fin
     """The one change that makes the innovations the most probable, and those nearly as good."""
     if mount is None:
         return
-    ranked = sorted(mount, key=lambda change: -change.z)
+    ranked = sorted((c for c in mount if can_be(c, parameters)), key=lambda change: -change.z)
     best = ranked[0]
     beyond = [change for change in ranked if change.matters]
     if not beyond or beyond[0] is not best:
@@ -424,17 +411,6 @@ def _of_whiteness(innovations: dict[str, Any] | None, noise: DvlNoise | None) ->
                 f"{innovations['mean']['xyz'.index(axis)]:+.3g} m/s, {abs(t):.1f} standard errors",
                 "check dvl.mount and dvl.lever_arm, or set dvl.bias_model to 'gauss_markov'",
             )
-
-
-def _of_reference(document: dict[str, Any]) -> Iterator[Finding]:
-    inside = document["body_velocity_inside_3_sigma"]
-    if inside is not None and inside < 0.9:
-        yield Finding(
-            "reference",
-            f"only {100.0 * inside:.0f} % of the velocity errors against the reference are within "
-            "3 sigma",
-            "check the reference's axes and stamps, then the noise of IMU and DVL",
-        )
 
 
 def _list(values: Any, digits: int) -> str:

@@ -21,7 +21,7 @@ from insdvl.recordings.parameters import ReplayParameters
 from insdvl.recordings.played import Listed, Recording, Stored
 from insdvl.studies.replay.consumer import Consumer
 from insdvl.studies.replay.part import Part
-from insdvl.studies.replay.reference import AtReference, Reference, truth_of
+from insdvl.studies.replay.reference import AtReference, Reference, reference_of
 from insdvl.studies.replay.taken import Taken
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.output import AppliedUpdate
@@ -133,7 +133,7 @@ def fold_recording(
     if not isinstance(recording, Recording):
         recording = Listed(recording)
     feed = Feed(parameters, capacity=4 * BATCH)
-    reference = Reference(*truth_of(recording))
+    reference = Reference(*reference_of(recording))
     receivers = [reference, *consumers]
     for receiver in receivers:
         receiver.begin(feed)

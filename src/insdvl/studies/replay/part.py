@@ -4,41 +4,38 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from insdvl.arrays import Array, Records
+from insdvl.arrays import Array, Records, Stamps
+from insdvl.navigation.events import NS
 from insdvl.navigation.filter import LAYOUT, Filter
-from insdvl.navigation.geometry import odom
 from insdvl.navigation.state.fields import State
 from insdvl.navigation.state.layout import counters
-from insdvl.studies.evaluation.metrics import path_length
 from insdvl.studies.replay.consumer import initialised
 from insdvl.timeline.output import AppliedUpdate, Final
 
-#: Fewest points of a long path; it has at most twice as many.
-POINTS = 5000
 
+class Travelled:
+    """The length of a path, by the speed along it.
 
-class Path:
-    """Points of a path, at equal steps that grow with its length."""
+    Positions would not tell it: while the heading is being found, a correction of it turns the
+    whole path about its start, and the vehicle has not moved.
+    """
 
     def __init__(self) -> None:
-        self._points = np.empty((0, 3))
-        self._seen, self._step = 0, 1
+        self.length = 0.0  # [m]
+        self._before: tuple[int, float] | None = None
 
-    def chosen(self, count: int) -> slice:
-        """Which of the next positions are wanted."""
-        return slice(-self._seen % self._step, count, self._step)
+    def begin(self) -> None:
+        """What follows is not joined to what was added: nothing was known in between."""
+        self._before = None
 
-    def add(self, count: int, points: Array) -> None:
-        """The chosen ones (M, 3) of the next positions [m]."""
-        self._seen += count
-        self._points = np.concatenate([self._points, points])
-        while len(self._points) >= 2 * POINTS:
-            self._points, self._step = self._points[::2], 2 * self._step
-
-    @property
-    def length(self) -> float:
-        """Length [m]."""
-        return path_length(self._points)
+    def add(self, times_ns: Stamps, speeds: Array) -> None:
+        """The next stamps (N,) and speeds (N,) [m/s]."""
+        if self._before is not None:
+            times_ns = np.concatenate([[self._before[0]], times_ns])
+            speeds = np.concatenate([[self._before[1]], speeds])
+        steps = np.diff(times_ns) / NS
+        self.length += float(steps @ (speeds[1:] + speeds[:-1])) / 2.0
+        self._before = int(times_ns[-1]), float(speeds[-1])
 
 
 @dataclass
@@ -54,7 +51,7 @@ class Part:
         known: (1,) the last initialised state, or none.
         updates: The measurements, in the order of stamps.
         steps: Stamps at which a counter was raised and by how much, by the name of the counter.
-        path: Of base_link.
+        travelled: By base_link.
     """
 
     filter: Filter
@@ -65,7 +62,7 @@ class Part:
     known: Records = field(default_factory=lambda: LAYOUT.empty()[:0])
     updates: list[AppliedUpdate] = field(default_factory=list)
     steps: dict[str, tuple[list[int], list[int]]] = field(default_factory=dict)
-    path: Path = field(default_factory=Path)
+    travelled: Travelled = field(default_factory=Travelled)
 
     def take(self, final: Final) -> None:
         """What follows."""
@@ -79,12 +76,17 @@ class Part:
             self.first_ns = int(nav["time_ns"][0])
         self.size += len(states)
         self.end = states[-1:].copy()
+        follows = bool(states[0]["nav"]["initialised"])
         for known in initialised(states):
             times_ns = known["nav"]["time_ns"]
             first_ns = self.known_ns[0] if self.known_ns else int(times_ns[0])
             self.known_ns, self.known = (first_ns, int(times_ns[-1])), known[-1:].copy()
-            chosen = known["nav"][self.path.chosen(len(known))]
-            self.path.add(len(known), _position(self.filter, chosen))
+            if not follows:
+                self.travelled.begin()
+            self.travelled.add(times_ns, _speeds(self.filter, known["nav"]))
+            follows = False
+        if not nav["initialised"][-1]:
+            self.travelled.begin()
 
     def _count(self, states: Records) -> None:
         """Find the steps of the counters."""
@@ -101,10 +103,8 @@ class Part:
             counts += rises[at].tolist()
 
 
-def _position(filter_: Filter, nav: State) -> Array:
-    """Position of base_link in map (N, 3) [m], as north, east, down."""
-    if not len(nav):
-        return np.empty((0, 3))
-    origin = np.array([nav[name][-1] for name in ("lat_0", "lon_0", "h_0")])
-    p_o, gamma = odom.in_odom(nav["llh"], origin)
-    return np.asarray(p_o - odom.turned(nav["C_n_b"], gamma) @ filter_.vehicle.l_b_imu)
+def _speeds(filter_: Filter, nav: State) -> Array:
+    """Speeds of base_link (N,) [m/s]."""
+    v_b = np.einsum("kji,kj->ki", nav["C_n_b"], nav["v_n"])
+    v_b -= np.cross(nav["w_nb_b"], filter_.vehicle.l_b_imu)
+    return np.asarray(np.linalg.norm(v_b, axis=1))

@@ -34,20 +34,30 @@ _BATCH = 4096
 
 def truth_of(recording: Recording) -> tuple[Stamps, Track]:
     """Stamps (M,) and states of the ground truth, in the axes of the stream."""
+    stamps_ns, truth, _ = reference_of(recording)
+    return stamps_ns, truth
+
+
+def reference_of(recording: Recording) -> tuple[Stamps, Track, Array]:
+    """As `truth_of`, and what it says of its own error (M, 2), see `AtReference.told_sigma`."""
     messages = recording.on([TRUTH])
     stamps: list[Stamps] = [np.empty(0, np.int64)]
-    columns: tuple[list[Array], ...] = [np.empty((0, 3, 3))], [np.empty((0, 3))], [np.empty((0, 3))]
+    shapes = (3, 3), (3,), (3,), (2,)
+    columns = [[np.empty((0, *shape))] for shape in shapes]
     while batch := list(islice(messages, _BATCH)):
         stamps_ns, *values = _states_of(batch)
         stamps.append(stamps_ns)
         for column, value in zip(columns, values, strict=True):
             column.append(value)
-    C, v_b, p_o = (np.concatenate(column) for column in columns)
-    return np.concatenate(stamps), Track(C, v_b, p_o)
+    C, v_b, p_o, sigma = (np.concatenate(column) for column in columns)
+    return np.concatenate(stamps), Track(C, v_b, p_o), sigma
 
 
-def _states_of(raws: Sequence[Raw]) -> tuple[Stamps, Array, Array, Array]:
-    """Stamps, attitudes, velocities in body axes and positions of the messages that can be used."""
+def _states_of(raws: Sequence[Raw]) -> tuple[Stamps, Array, Array, Array, Array]:
+    """Of the messages that can be used, see `reference_of`.
+
+    Stamps, attitudes, velocities in body axes, positions and sigmas.
+    """
     first = decode(raws[0]).message
     frames = str(first.header.frame_id), str(first.child_frame_id)
     told, is_known = decode_odometries([raw.data for raw in raws], frames)
@@ -55,14 +65,18 @@ def _states_of(raws: Sequence[Raw]) -> tuple[Stamps, Array, Array, Array]:
     stamps_ns, v_b, p_o = told.stamps_ns, told.linear, told.position
     C = np.empty((len(raws), 3, 3))
     C[is_known] = rotation_from_quaternion(told.quaternion_xyzw[is_known])
+    variances = np.diagonal(told.pose_covariance, axis1=1, axis2=2)
+    sigma = np.sqrt(np.stack([variances[:, 5], variances[:, :2].sum(axis=1)], axis=1).clip(min=0.0))
     for k in np.flatnonzero(~is_known).tolist():
         try:
             event = convert.initial(decode(raws[k]).message, NED, once=True)
         except RejectedMessage:  # counted where it is folded
             continue
         stamps_ns[k], C[k], v_b[k], p_o[k] = event.stamp_ns, event.C_o_b, event.v, event.p_o
+        P_psi, P_p = (np.zeros((3, 3)) if P is None else P for P in (event.P_psi, event.P_p))
+        sigma[k] = np.sqrt([max(P_psi[2, 2], 0.0), max(P_p[0, 0] + P_p[1, 1], 0.0)])
         is_known[k] = True
-    return stamps_ns[is_known], C[is_known], v_b[is_known], p_o[is_known]
+    return stamps_ns[is_known], C[is_known], v_b[is_known], p_o[is_known], sigma[is_known]
 
 
 def _is_plain(told: OdometryColumns) -> NDArray[np.bool_]:
@@ -90,12 +104,17 @@ class AtReference:
         truth: The reference, in the axes of the stream.
         track: The filter.
         sigma: (M, 6) what it says of its error, of velocity in body axes [m/s] and position [m].
+        heading_sigma: (M,) the same of the heading [rad].
+        told_sigma: (M, 2) what the reference says of its own error, of heading [rad] and horizontal
+            position [m]; 0 where it says nothing.
     """
 
     stamps_ns: Stamps
     truth: Track
     track: Track
     sigma: Array
+    heading_sigma: Array
+    told_sigma: Array
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
@@ -110,10 +129,12 @@ class Reference(Consumer):
     Args:
         stamps_ns: (M,) stamps of the reference.
         truth: Its states.
+        told_sigma: (M, 2) see `AtReference`; by default it says nothing.
     """
 
-    def __init__(self, stamps_ns: Stamps, truth: Track) -> None:
+    def __init__(self, stamps_ns: Stamps, truth: Track, told_sigma: Array | None = None) -> None:
         self._stamps_ns, self._truth = stamps_ns, truth
+        self._told_sigma = np.zeros((len(stamps_ns), 2)) if told_sigma is None else told_sigma
         self._order = np.argsort(stamps_ns, kind="stable")
         self._sorted_ns = stamps_ns[self._order]
         self._begin()
@@ -122,7 +143,7 @@ class Reference(Consumer):
         self._row: Records | None = None  # odometry of the last state that was taken
         self._row_ns = 0
         self._indices: list[NDArray[np.intp]] = []
-        self._found: list[tuple[Array, ...]] = []  # C, v_b, p_o, sigma
+        self._found: list[tuple[Array, ...]] = []  # C, v_b, p_o, sigma, that of the heading
         self._is_over = False
 
     def take(self, filter_: Filter, states: Records) -> None:
@@ -173,8 +194,8 @@ class Reference(Consumer):
         """Of the last time that was taken."""
         indices = np.concatenate([np.empty(0, np.intp), *self._indices])
         order = np.argsort(indices)
-        shapes = (3, 3), (3,), (3,), (6,)
-        C, v_b, p_o, sigma = (
+        shapes = (3, 3), (3,), (3,), (6,), (1,)
+        C, v_b, p_o, sigma, heading_sigma = (
             np.concatenate([np.empty((0, *shape)), *(found[k] for found in self._found)])[order]
             for k, shape in enumerate(shapes)
         )
@@ -184,13 +205,15 @@ class Reference(Consumer):
             Track(truth.C_n_b[at], truth.v_b[at], truth.p_o[at]),
             Track(C, v_b, p_o),
             sigma,
+            heading_sigma[:, 0],
+            self._told_sigma[at],
         )
 
 
 def _between(
     table: Records, a: NDArray[np.intp], b: NDArray[np.intp], exact: NDArray[np.bool_], share: Array
 ) -> tuple[Array, ...]:
-    """C, v_b, p_o and sigma at a share (M, 1) of the way from rows a to rows b of odometries."""
+    """C, v_b, p_o and sigmas at a share (M, 1) of the way from rows a to rows b of odometries."""
 
     def between(column: Array) -> Array:
         return np.where(exact, column[b], column[a] + share * (column[b] - column[a]))
@@ -203,4 +226,6 @@ def _between(
         for name in ("twist_covariance", "pose_covariance")
     ]
     sigma = np.sqrt(np.concatenate(variances, axis=1))
-    return C, between(table["twist_linear"]), between(table["position"]), between(sigma)
+    heading_sigma = np.sqrt(table["pose_covariance"][:, 5, 5:])
+    velocity, position = between(table["twist_linear"]), between(table["position"])
+    return C, velocity, position, between(sigma), between(heading_sigma)
