@@ -20,8 +20,9 @@ from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build
 from insdvl.recordings.bag_reader import BagReader
-from insdvl.recordings.base import Raw, decode, encode, new_message, typestore
+from insdvl.recordings.base import Raw, decode, encode, new_message, stamp_ns, typestore
 from insdvl.recordings.drivers import dvl_message, dvl_raw
+from insdvl.recordings.messages import twist_message
 from insdvl.recordings.parameters import ReplayParameters
 from insdvl.simulation.mission import Mission
 from insdvl.simulation.trajectories import STATIC
@@ -244,6 +245,40 @@ def test_an_imu_on_its_side_is_told_with_its_mount(brief: Mission) -> None:
     assert abs(roll) == pytest.approx(np.pi / 2, abs=0.15)
     assert abs(pitch) < 0.15
     assert abs(yaw) < 0.15
+
+
+def telling(raws: list[Raw], sigma: float) -> list[Raw]:
+    """The recording of a DVL whose messages tell this sigma."""
+    told = []
+    for raw in raws:
+        if raw.topic == "/dvl":
+            v = decode(raw).message.twist.linear
+            told_of = twist_message(stamp_ns(raw), "dvl", (v.x, v.y, v.z), sigma**2 * np.eye(3))
+            raw = encode(raw.topic, raw.time_ns, told_of)
+        told.append(raw)
+    return told
+
+
+def test_a_sigma_of_the_messages_that_is_far_too_large_is_not_to_be_taken(
+    raws: list[Raw],
+) -> None:
+    for sigma, settings in (
+        (2.0, {"insdvl_filter": {"dvl.covariance": "parameters"}}),
+        (0.03, {}),
+    ):
+        found = said(told := telling(raws, sigma))
+        assert f"The messages tell a sigma of {sigma:g} m/s." in texts(found, PINGS)
+        assert settings_of(found) == settings
+        assert settings_of(said(told, **{"dvl.covariance": "parameters"})) == {}
+
+
+def test_a_sigma_of_the_messages_that_stands_for_none_makes_a_recording_useless(
+    raws: list[Raw],
+) -> None:
+    found = said(telling(raws, 1000.0))
+    assert not is_usable(found)
+    assert "Most measurements cannot be used: " in texts(found, PINGS)
+    assert " invalid." in texts(found, PINGS)
 
 
 def test_a_fix_a_pressure_and_a_compass_are_found(raws: list[Raw]) -> None:

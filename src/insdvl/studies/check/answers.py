@@ -30,6 +30,9 @@ from insdvl.watch.alignment.check import FEWEST_WINDOWS
 
 #: Share of messages from which a fault makes a recording useless.
 MOST = 0.5
+#: A sigma of the messages is too large from so many times the scatter of the pings on. Errors that
+#: last are not in the scatter, and a driver may count them.
+TOO_UNSURE = 10.0
 
 
 def answers(seen: Inspection) -> list[Finding]:
@@ -356,6 +359,15 @@ def _pings(seen: Inspection) -> Iterator[Finding]:
     if dvl.scatter is not None and np.nansum(dvl.scatter) > 0.0:
         shown = _list(dvl.scatter[np.isfinite(dvl.scatter)])
         yield Finding(PINGS, f"They scatter by {shown} m/s, motion between pings included.")
+        told, largest = seen.parameters.dvl, float(np.nanmax(dvl.scatter))
+        is_told = told.covariance != "parameters" and dvl.told is not None
+        if is_told and dvl.told > TOO_UNSURE * max(largest, told.noise_floor):
+            yield _setting(
+                PINGS,
+                f"That is less than a tenth of the sigma of the messages, which dvl.covariance "
+                f"{told.covariance!r} takes: 'parameters' takes dvl.noise_std.",
+                {"dvl.covariance": "parameters"},
+            )
 
 
 def _fit(seen: Inspection) -> Iterator[Finding]:
