@@ -11,6 +11,7 @@ from looked_at import START_NS, TURNED, Memory, flown, raws_of
 from recordings import save
 
 from insdvl import cli
+from insdvl.messages import topics
 from insdvl.messages.convert import FIX
 from insdvl.messages.depth import PRESSURE
 from insdvl.messages.drivers import DVL_MSGS, MARINE_ACOUSTIC, NUCLEUS_BOTTOM
@@ -154,6 +155,28 @@ def test_without_a_dvl_it_is_not_usable(raws: list[Raw]) -> None:
     found = said([raw for raw in raws if raw.topic != "/dvl"])
     assert not is_usable(found)
     assert "No topic has a type of a DVL" in texts(found, NEEDED)
+
+
+OURS = [
+    *(row.name for row in topics.TOPICS if not row.measurement and row.name != topics.IMU),
+    *(topics.ODOMETRY, topics.GLOBAL_ODOMETRY, topics.GLOBAL_POSITION, topics.BIAS),
+    *(f"{row.measurement}{topics.INNOVATION}" for row in topics.TOPICS if row.measurement),
+]
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_a_topic_of_our_nodes_is_no_dvl(name: str, raws: list[Raw]) -> None:
+    """Its noise, its truth and its innovations have the types of its velocity."""
+    few = raws[:600]
+    pings = [raw for raw in telling(few, 0.02) if raw.topic == "/dvl"]
+    truths = {topics.TRUTH, topics.FIX}
+    for above in ("", "/auv"):
+        ours = [raw._replace(topic=f"{above}/{name}") for raw in pings]
+        if name not in truths:
+            found = said([*(raw for raw in few if raw.topic != "/dvl"), *ours])
+            assert not is_usable(found)
+            assert "No topic has a type of a DVL" in texts(found, NEEDED)
+        assert looked_at([*few, *ours]).sensors.dvl == "/dvl"
 
 
 def test_without_an_imu_it_is_not_usable(raws: list[Raw]) -> None:
