@@ -201,8 +201,13 @@ def _start(seen: Inspection) -> Iterator[Finding]:
         text = f"Yes{told}: the filter starts under way, tilt to 3 deg, and needs a DVL velocity."
     elif start.spread > 1.0:
         text = f"It stays, but vibrates{told}: biases and heading are not taken from that rest."
-    else:
+    elif first:
         text = f"No{told}: levelling and gyroscope biases are taken from the rest."
+    else:
+        text = (
+            "Not told: the samples show no motion, and no DVL says whether the vehicle stays or "
+            "moves steadily."
+        )
     yield Finding(START, text)
 
 
@@ -360,8 +365,9 @@ def _pings(seen: Inspection) -> Iterator[Finding]:
         shown = _list(dvl.scatter[np.isfinite(dvl.scatter)])
         yield Finding(PINGS, f"They scatter by {shown} m/s, motion between pings included.")
         told, largest = seen.parameters.dvl, float(np.nanmax(dvl.scatter))
-        is_told = told.covariance != "parameters" and dvl.told is not None
-        if is_told and dvl.told > TOO_UNSURE * max(largest, told.noise_floor):
+        of_messages = dvl.told or 0.0
+        unsure = of_messages > TOO_UNSURE * max(largest, told.noise_floor)
+        if unsure and told.covariance != "parameters":
             yield _setting(
                 PINGS,
                 f"That is less than a tenth of the sigma of the messages, which dvl.covariance "
