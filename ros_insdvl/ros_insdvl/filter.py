@@ -25,9 +25,11 @@ from insdvl.messages.feed import Feed
 from insdvl.messages.inputs import frame_id_of
 from insdvl.messages.make import fill_fix, fill_imu, fill_innovation
 from insdvl.messages.topics import (
+    BIAS,
     GLOBAL_ODOMETRY,
     GLOBAL_POSITION,
     IMU,
+    INNOVATION,
     ODOMETRY,
     Topic,
     taken,
@@ -116,10 +118,10 @@ class FilterNode(InsdvlNode[FilterParameters]):
         if parameters.publish_tf:
             self._tf = self.advertise(message_class(TF_MESSAGE), TF)
             self._transforms = Transforms(new_message, parameters, has_map=self._feed.has_map)
-        self._bias = self.advertise(Imu, "imu/bias")
+        self._bias = self.advertise(Imu, BIAS)
         self._fix = self.advertise(NavSatFix, GLOBAL_POSITION)
         self._innovations = {
-            name: self.advertise(TwistWithCovarianceStamped, f"{name}/innovation")
+            name: self.advertise(TwistWithCovarianceStamped, f"{name}{INNOVATION}")
             for name in self._inputs.measured
         }
         self._in_odom = OdometryEncoder(parameters.odom_frame, parameters.base_frame)

@@ -43,6 +43,10 @@ TWIST_WITH_COVARIANCE = "geometry_msgs/msg/TwistWithCovarianceStamped"
 ODOMETRY = "nav_msgs/msg/Odometry"
 
 
+#: The sigma of a DVL's component that stands for none [m/s]: it is the fill value of a figure of
+#: merit, and no DVL that is this unsure tells anything. ROS's drivers write huge variances for what
+#: is not measured, too.
+FILL_SIGMA = 10.0
 #: Asymmetry and negative eigenvalues of a covariance, relative to its largest element, that come
 #: from rounding to single precision.
 ROUNDING = 1e-6
@@ -154,8 +158,8 @@ def velocity_covariance(
     """Covariance (3, 3) of a velocity, or of a twist's linear one, and what was measured.
 
     Drivers of DVLs write -1 for a variance that they do not know: it becomes zero, as all of its
-    correlations. An infinite variance means that the component was not measured: it becomes zero
-    too.
+    correlations. One of `FILL_SIGMA`^2 or more, also infinity, means that the component was not
+    measured: it becomes zero too.
 
     Args:
         field: Row-major covariance.
@@ -163,13 +167,20 @@ def velocity_covariance(
         rows: Number of its rows: 3, or 6 of a twist.
 
     Raises:
-        RejectedMessage: ``no_data`` (no component was measured), ``bad_covariance``.
+        RejectedMessage: ``no_data`` (all variances are infinite), ``invalid`` (no component was
+            measured), ``bad_covariance``.
     """
     matrix = square(field, rows, name)[:3, :3]
     variances = np.diagonal(matrix)
-    measured = variances != np.inf
-    if not measured.any():
+    measured = ~(variances >= FILL_SIGMA**2)  # nan is not, and is refused below
+    if (variances == np.inf).all():
         raise RejectedMessage("no_data", f"all variances of {name} are infinite")
+    if not measured.any():
+        raise RejectedMessage(
+            "invalid",
+            f"all sigmas of {name} are {FILL_SIGMA:g} m/s or more, which stands for no velocity: "
+            f"{np.sqrt(variances).tolist()}",
+        )
     told = measured & (variances != -1.0)
     x, y, z = measured.tolist()
     return covariance(np.where(told[:, None] & told, matrix, 0.0), 3, name), (x, y, z)

@@ -138,7 +138,7 @@ class Driver:
             return "bad_stamp", "no_stamp", "no_data", "invalid", "through_water"
         reasons = ["bad_stamp", "no_stamp", "not_finite"]
         if self.covariance or self.sigma:
-            reasons += ["no_data", "bad_covariance"]
+            reasons += ["no_data", "bad_covariance", "invalid"]
         if self.axes is not Axes.STREAM:
             reasons += ["no_data", "invalid"]
         if self.altitude or self.beams is not _no_beams:

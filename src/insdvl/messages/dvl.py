@@ -22,9 +22,9 @@ from insdvl.navigation.measurements.dvl import Dvl
 
 #: Beams without which there is no velocity.
 MIN_BEAMS = 3
-#: What stands in place of a velocity, and of a sigma, that an instrument does not have [m/s].
-FILL_VELOCITY, FILL_SIGMA = -32.768, 10.0
-_FILL_ROUNDING = 1e-3  # m/s: the resolution of the number that the first of them fills
+#: What stands in place of a velocity that an instrument does not have [m/s]; see `FILL_SIGMA` too.
+FILL_VELOCITY = -32.768
+_FILL_ROUNDING = 1e-3  # m/s: the resolution of the number that it fills
 #: The longest latency that is believed.
 MAX_LATENCY_NS = 10 * NS
 _US = 1000  # ns
@@ -85,19 +85,19 @@ def _velocity(told: Ping, driver: Driver) -> tuple[Array, Array | None, tuple[bo
         R, finite = velocity_covariance(told.covariance, driver.covariance, driver.rows)
         measured = _both(measured, finite)
     if R is None and told.sigma.any():
-        sigma = np.where(measured, told.sigma, 0.0)
-        _check_sigma(sigma)
+        sigma = np.where(measured, told.sigma, np.inf)
         sigma[sigma < 0.0] = 0.0  # not known either
-        R, _ = velocity_covariance(np.diag(sigma**2).ravel(), driver.sigma, 3)
+        R, sure = velocity_covariance(np.diag(sigma**2).ravel(), driver.sigma, 3)
+        measured = _both(measured, sure)
+    if not any(measured):
+        raise RejectedMessage("invalid", "each component is marked as invalid, or its sigma is")
     v = vector(Vector(*told.velocity.tolist()), driver.velocity, measured)
     if R is not None:
         known = np.array(measured)
         R = np.where(known[:, None] & known, R, 0.0)
-    if driver.axes is not Axes.STREAM:
-        if (np.abs(v - FILL_VELOCITY) < _FILL_ROUNDING).any():
-            raise RejectedMessage("invalid", f"velocity is {v.tolist()}, {FILL_VELOCITY} is none")
-        if R is not None:
-            _check_sigma(np.sqrt(np.diagonal(R)))
+    filled = driver.axes is not Axes.STREAM and np.abs(v - FILL_VELOCITY) < _FILL_ROUNDING
+    if np.any(filled):
+        raise RejectedMessage("invalid", f"velocity is {v.tolist()}, {FILL_VELOCITY} is none")
     return v, R, measured
 
 
@@ -126,12 +126,6 @@ def _check_bottom(told: Ping) -> None:
         raise RejectedMessage(
             "no_bottom", f"{told.good_beams} beams have the bottom, {MIN_BEAMS} are needed"
         )
-
-
-def _check_sigma(sigma: Array) -> None:
-    """Refuse a sigma (3,) that stands for none."""
-    if (sigma >= FILL_SIGMA).any():
-        raise RejectedMessage("invalid", f"sigma is {sigma.tolist()} m/s, {FILL_SIGMA:g} is none")
 
 
 def _stamp_ns(message: Any, driver: Driver) -> int:

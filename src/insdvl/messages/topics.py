@@ -38,6 +38,20 @@ HEADING = "heading/orientation"
 ODOMETRY = "odometry/filtered"
 GLOBAL_ODOMETRY = "odometry/global"
 GLOBAL_POSITION = "gps/filtered"
+BIAS = "imu/bias"
+#: The end of the topic of a measurement's innovation, after the name of the measurement.
+INNOVATION = "/innovation"
+#: How topics of our nodes end that have the types of sensors and are none.
+NO_SENSORS = (
+    PROCESS_NOISE,
+    MEASUREMENT_NOISE,
+    SET_ODOMETRY,
+    ODOMETRY,
+    GLOBAL_ODOMETRY,
+    GLOBAL_POSITION,
+    BIAS,
+    INNOVATION,
+)
 
 #: Topic of each source of process noise that has one.
 Q_TOPICS: Mapping[str, str] = MappingProxyType(

@@ -18,7 +18,7 @@ from insdvl.recordings.checks import (
     check_folder,
     complete_index,
 )
-from insdvl.recordings.foreign import STORAGES, remedy_of_file, remedy_of_folder
+from insdvl.recordings.foreign import STORAGES, files_of, remedy_of_file, remedy_of_folder
 from insdvl.recordings.mcap_messages import messages as mcap_messages
 
 with extra("bags"):
@@ -84,7 +84,8 @@ class BagReader:
                 found = self._found()
                 stack.pop_all()
         except Exception as error:  # damaged bytes make the parser raise anything
-            remedy = f"; {what}" if path.is_file() and (what := remedy_of_file(path)) else ""
+            files = [path] if path.is_file() else files_of(path)
+            remedy = "".join(f"; {what}" for file in files if (what := remedy_of_file(file)))
             raise BagError(f"cannot read recording {path}: {text_of(error)}{remedy}") from error
         for name, (types, _) in found.items():
             if len(types) > 1:

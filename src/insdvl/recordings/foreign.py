@@ -32,9 +32,14 @@ def remedy_of_file(path: Path) -> str:
     return ""
 
 
+def files_of(path: Path) -> list[Path]:
+    """The files of a folder that hold messages."""
+    return sorted(file for file in path.iterdir() if file.suffix in STORAGES and file.is_file())
+
+
 def remedy_of_folder(path: Path) -> str:
     """What mends a folder without metadata.yaml; empty where it has no file of a recording."""
-    files = sorted(file for file in path.iterdir() if file.suffix in STORAGES)
+    files = files_of(path)
     if not files:
         return ""
     alone = f", or read {files[0]} alone" if len(files) == 1 else ""

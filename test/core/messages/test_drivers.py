@@ -176,6 +176,17 @@ def test_components_that_a_nucleus_marks_as_invalid_are_not_measured() -> None:
     np.testing.assert_array_equal(event.R, np.diag([0.25, 0.0, 0.0625]))
 
 
+def test_a_component_whose_own_sigma_stands_for_none_is_not_measured() -> None:
+    message = dvl_message(NUCLEUS_BOTTOM, STAMP, V)
+    message.fom_x, message.fom_y, message.fom_z = 0.5, 10.0, 0.25
+    assert dvl(message, ENU).measured == (True, False, True)
+    message.x_velocity_valid = message.z_velocity_valid = False
+    assert reason_of(message) == "invalid"
+    message = dvl_message(MARINE_ACOUSTIC, STAMP, V)
+    message.velocity_covar = np.diag([0.25, 0.25, 100.0]).ravel()
+    assert dvl(message, ENU).measured == (True, True, False)
+
+
 def test_the_beams_of_each_type_are_read() -> None:
     for kind in (DVL_MSGS, STONEFISH, DAVE, NUCLEUS_BOTTOM):
         told = ping(dvl_message(kind, STAMP, V, Told(good_beams=2)))

@@ -328,6 +328,28 @@ class TestDvl:
         np.testing.assert_array_equal(event.R, np.diag([4.0, 0.0, 9.0]))
         assert event.measured == (True, False, True)
 
+    @pytest.mark.parametrize("variance", [100.0, 1e6, 1e15])
+    def test_a_huge_variance_is_a_component_that_was_not_measured(self, variance):
+        """One sigma of 10 m/s is the fill value of a figure of merit."""
+        P = np.diag([4.0, variance, 9.0, 0.0, 0.0, 0.0])
+        event = dvl(twist_message((1.0, 0.5, 3.0), covariance=P), ENU)
+        np.testing.assert_array_equal(event.v_d, [1.0, 0.0, -3.0])
+        np.testing.assert_array_equal(event.R, np.diag([4.0, 0.0, 9.0]))
+        assert event.measured == (True, False, True)
+        alone = np.diag([-1.0, variance, 0.0, 0.0, 0.0, 0.0])
+        event = dvl(twist_message(covariance=alone), ENU)
+        assert (event.R, event.measured) == (None, (True, False, True))
+
+    @pytest.mark.parametrize("variance", [100.0, 1e6, 1e15])
+    def test_huge_variances_alone_are_invalid(self, variance):
+        for variances in ([variance] * 3, [variance, INF, variance]):
+            P = np.diag([*variances, 0.0, 0.0, 0.0])
+            assert reason_of(dvl, twist_message(covariance=P), ENU) == "invalid"
+        P = np.diag([99.0, 99.0, 99.0, 1e6, 1e6, 1e6])  # of the turn rate nothing is asked
+        event = dvl(twist_message(covariance=P), ENU)
+        np.testing.assert_array_equal(event.R, 99.0 * np.eye(3))
+        assert event.measured == (True, True, True)
+
     def test_nothing_measured_is_no_data(self):
         P = np.diag([INF, INF, INF, 0.0, 0.0, 0.0])
         assert reason_of(dvl, twist_message(covariance=P), ENU) == "no_data"

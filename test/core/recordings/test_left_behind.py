@@ -209,6 +209,14 @@ def test_a_file_that_is_near_a_recording_is_named_with_its_remedy(
     assert what.format(path=path, folder=tmp_path) in said(path)
 
 
+def test_a_folder_with_a_file_that_was_cut_is_told_what_mends_the_file(tmp_path: Path) -> None:
+    file = write(tmp_path / "bag")
+    file.write_bytes(file.read_bytes()[:-200])
+    text = said(tmp_path / "bag")
+    mended = file.with_name(f"{file.stem}-recovered.mcap")
+    assert f"the recorder was killed: mcap recover {file} -o {mended}" in text
+
+
 def test_a_folder_without_metadata_is_told_how_to_get_it(tmp_path: Path) -> None:
     file = write(tmp_path / "bag")
     (tmp_path / "bag" / "metadata.yaml").unlink()

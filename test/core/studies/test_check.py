@@ -11,6 +11,7 @@ from looked_at import START_NS, TURNED, Memory, flown, raws_of
 from recordings import save
 
 from insdvl import cli
+from insdvl.messages import topics
 from insdvl.messages.convert import FIX
 from insdvl.messages.depth import PRESSURE
 from insdvl.messages.drivers import DVL_MSGS, MARINE_ACOUSTIC, NUCLEUS_BOTTOM
@@ -20,8 +21,9 @@ from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build
 from insdvl.recordings.bag_reader import BagReader
-from insdvl.recordings.base import Raw, decode, encode, new_message, typestore
+from insdvl.recordings.base import Raw, decode, encode, new_message, stamp_ns, typestore
 from insdvl.recordings.drivers import dvl_message, dvl_raw
+from insdvl.recordings.messages import twist_message
 from insdvl.recordings.parameters import ReplayParameters
 from insdvl.simulation.mission import Mission
 from insdvl.simulation.trajectories import STATIC
@@ -155,6 +157,28 @@ def test_without_a_dvl_it_is_not_usable(raws: list[Raw]) -> None:
     assert "No topic has a type of a DVL" in texts(found, NEEDED)
 
 
+OURS = [
+    *(row.name for row in topics.TOPICS if not row.measurement and row.name != topics.IMU),
+    *(topics.ODOMETRY, topics.GLOBAL_ODOMETRY, topics.GLOBAL_POSITION, topics.BIAS),
+    *(f"{row.measurement}{topics.INNOVATION}" for row in topics.TOPICS if row.measurement),
+]
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_a_topic_of_our_nodes_is_no_dvl(name: str, raws: list[Raw]) -> None:
+    """Its noise, its truth and its innovations have the types of its velocity."""
+    few = raws[:600]
+    pings = [raw for raw in telling(few, 0.02) if raw.topic == "/dvl"]
+    truths = {topics.TRUTH, topics.FIX}
+    for above in ("", "/auv"):
+        ours = [raw._replace(topic=f"{above}/{name}") for raw in pings]
+        if name not in truths:
+            found = said([*(raw for raw in few if raw.topic != "/dvl"), *ours])
+            assert not is_usable(found)
+            assert "No topic has a type of a DVL" in texts(found, NEEDED)
+        assert looked_at([*few, *ours]).sensors.dvl == "/dvl"
+
+
 def test_without_an_imu_it_is_not_usable(raws: list[Raw]) -> None:
     found = said([raw for raw in raws if raw.topic != "/imu"])
     assert not is_usable(found)
@@ -244,6 +268,39 @@ def test_an_imu_on_its_side_is_told_with_its_mount(brief: Mission) -> None:
     assert abs(roll) == pytest.approx(np.pi / 2, abs=0.15)
     assert abs(pitch) < 0.15
     assert abs(yaw) < 0.15
+
+
+def telling(raws: list[Raw], sigma: float) -> list[Raw]:
+    """The recording of a DVL whose messages tell this sigma."""
+    told = []
+    for raw in raws:
+        if raw.topic == "/dvl":
+            v = decode(raw).message.twist.linear
+            told_of = twist_message(stamp_ns(raw), "dvl", (v.x, v.y, v.z), sigma**2 * np.eye(3))
+            raw = encode(raw.topic, raw.time_ns, told_of)
+        told.append(raw)
+    return told
+
+
+def test_a_sigma_of_the_messages_that_is_far_too_large_is_not_to_be_taken(
+    raws: list[Raw],
+) -> None:
+    for sigma, settings in (
+        (2.0, {"insdvl_filter": {"dvl.covariance": "parameters"}}),
+        (0.03, {}),
+    ):
+        found = said(told := telling(raws, sigma))
+        assert f"The messages tell a sigma of {sigma:g} m/s." in texts(found, PINGS)
+        assert settings_of(found) == settings
+        assert settings_of(said(told, **{"dvl.covariance": "parameters"})) == {}
+
+
+def test_a_sigma_of_the_messages_that_stands_for_none_makes_a_recording_useless() -> None:
+    found = said(telling(raws_of(flown(3.0, STATIC)), 1000.0))
+    assert not is_usable(found)
+    assert texts(found, START).startswith("Not told: ")  # it may move steadily
+    assert "Most measurements cannot be used: " in texts(found, PINGS)
+    assert " invalid." in texts(found, PINGS)
 
 
 def test_a_fix_a_pressure_and_a_compass_are_found(raws: list[Raw]) -> None:

@@ -6,23 +6,27 @@ import signal
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from looked_at import flown, raws_of
+from looked_at import Memory, flown, raws_of
 from recordings import save
 
 from insdvl.cli import main
 from insdvl.jobs.progress import Progress
+from insdvl.messages.topics import IMU, PROCESS_NOISE
 from insdvl.navigation.events import Event
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import DvlParameters, FilterParameters, GateParameters
 from insdvl.studies.judgement.noise_in_force import NoiseInForce
 from insdvl.studies.replay import command
+from insdvl.studies.replay.inputs.learning import Learned
 from insdvl.studies.replay.inputs.watched import interruption
 from insdvl.studies.replay.taken import Taken
 from insdvl.timeline.recorded import fold_arrays
+from insdvl.tuner.parameters import TunerParameters
 
 CONFIG = """
 /**/insdvl_filter:
@@ -41,11 +45,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def replayed(folder: Path, *options: str, code: int = 0) -> dict[str, Any]:
+def replayed(folder: Path, *options: str, bag: str = "dive", code: int = 0) -> dict[str, Any]:
     """The document of a replay."""
     numbers = folder / "numbers.json"
     numbers.unlink(missing_ok=True)
-    call = ["replay", f"{folder}/dive", "-c", f"{folder}/my.yaml", "--json", str(numbers)]
+    call = ["replay", f"{folder}/{bag}", "-c", f"{folder}/my.yaml", "--json", str(numbers)]
     assert main([*call, *options]) == code
     return json.loads(numbers.read_text()) if code == 0 else {}
 
@@ -274,3 +278,97 @@ def test_an_estimator_of_your_own_gives_q(
     late, absent = [line for line in capsys.readouterr().err.splitlines() if "estimator" in line]
     assert "estimator 'noise_of_a_test:late' must answer 6 variances" in late
     assert absent.endswith("noise_of_a_test has no function 'absent'")
+
+
+@pytest.fixture(scope="module")
+def tuned(folder: Path) -> Path:
+    """The same folder, with the recording `tuned`: the dive, recorded with the tuner on."""
+    names = {"/imu": IMU}
+    raws = [r._replace(topic=names.get(r.topic, r.topic)) for r in raws_of(flown(SECONDS))]
+    memory = Memory(raws)
+    stream = SimpleNamespace(topics=frozenset(memory.topics), on=memory.raw)
+    learned = Learned(stream, TunerParameters(model="bands"))  # type: ignore[arg-type]
+    back = {IMU: "/imu", PROCESS_NOISE: "/process_noise"}
+    raws = list(learned.on({*memory.topics, PROCESS_NOISE}))
+    save(folder / "tuned", [r._replace(topic=back.get(r.topic, r.topic)) for r in raws])
+    return folder
+
+
+EXTERNAL = ("--set", "process_noise.source=external")
+
+
+def test_a_model_that_is_set_is_used_in_place_of_a_recorded_q(
+    tuned: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recorded = replayed(tuned, *EXTERNAL, bag="tuned")
+    assert (recorded["process_noise"], recorded["model"]) == ("external, recorded", None)
+    document = replayed(tuned, *EXTERNAL, "--set", "model=default", bag="tuned")
+    assert document["process_noise"] == "external, learned by default, in place of the recorded"
+    assert document["model"]["name"] == "default"
+    without = replayed(tuned, *EXTERNAL, "--set", "model=default")
+    assert document["nis_mean"] == without["nis_mean"] != recorded["nis_mean"]
+    compared = replayed(tuned, *EXTERNAL, "--compare", "model=default", bag="tuned")
+    assert compared["nis_mean"] == recorded["nis_mean"]
+    assert compared["compared"][0]["nis_mean"] == without["nis_mean"]
+    assert "WARN" not in capsys.readouterr().err
+
+
+def test_an_estimator_that_is_set_is_used_in_place_of_a_recorded_q(
+    tuned: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(tuned))
+    (tuned / "another_noise_of_a_test.py").write_text(
+        "def variances(samples, rate):\n    return samples.var(axis=0)\n"
+    )
+    name = "another_noise_of_a_test:variances"
+    document = replayed(tuned, "--estimator", name, bag="tuned")
+    assert document["process_noise"] == f"external, learned by {name}, in place of the recorded"
+    assert document["nis_mean"] == replayed(tuned, "--estimator", name)["nis_mean"]
+
+
+def test_a_model_of_a_file_is_not_used_beside_a_recorded_q_and_that_is_told(
+    tuned: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A file of a vehicle names the model that made the recorded Q, by its path aboard."""
+    (tuned / "vehicle.yaml").write_text(
+        "/**/insdvl_filter:\n  ros__parameters: {process_noise.source: external}\n"
+        "/**/insdvl_tuner:\n  ros__parameters: {model: /aboard/taught.npz}\n"
+    )
+    vehicle = ("-c", f"{tuned}/vehicle.yaml")
+    assert replayed(tuned, *vehicle, bag="tuned")["process_noise"] == "external, recorded"
+    assert "WARN the recording has process_noise, which is used; the model" in (
+        capsys.readouterr().err
+    )
+    replayed(tuned, *vehicle, code=2)
+
+
+@pytest.mark.parametrize("bag", ["dive", "tuned"])
+@pytest.mark.parametrize("source", [(), EXTERNAL])
+def test_a_model_that_does_not_exist_is_refused(
+    tuned: Path, source: tuple[str, ...], bag: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    replayed(tuned, *source, "--set", "model=nope", bag=bag, code=2)
+    assert "nope.json" in capsys.readouterr().err
+
+
+def test_a_model_or_an_estimator_that_nothing_would_use_is_refused(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    constant = ("--set", "process_noise.source=constant")
+    replayed(folder, "--set", "model=bands", code=2)
+    replayed(folder, "--compare", "model=bands", code=2)
+    replayed(folder, *constant, "--estimator", "a:b", code=2)
+    replayed(folder, "--set", "model=bands", "--estimator", "a:b", code=2)
+    of_model, again, of_estimator, both = capsys.readouterr().err.splitlines()
+    assert of_model == again
+    assert of_model.endswith(
+        "parameter 'model' of insdvl_tuner is set to 'bands' but would not be used: "
+        "process_noise.source is 'constant'; add --set process_noise.source=external, or leave "
+        "model out"
+    )
+    assert "'estimator' of insdvl_tuner is set to 'a:b' but would not be used" in of_estimator
+    assert both.endswith("estimator 'a:b' takes its place; set only one")
+    # It is meant for the second one.
+    compare = ("--compare", "process_noise.source=external")
+    document = replayed(folder, "--set", "model=bands", *compare)
+    assert document["compared"][0]["process_noise"] == "external, learned by bands"

@@ -190,11 +190,20 @@ def train(folder: Path, *bags: Path) -> int:
     return main(["train", "--from-bags", *map(str, bags), *options])
 
 
-def test_the_command_names_the_recording_that_cannot_teach(
+def test_the_command_names_the_recordings_that_cannot_teach(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert train(tmp_path, recorded(tmp_path, 1, 25.0)) == 2
-    assert "dive1 has 4 measurements of the DVL" in capsys.readouterr().err
+    short = recorded(tmp_path, 1, 25.0)
+    assert train(tmp_path, short, recorded(tmp_path, 3, 60.0), recorded(tmp_path, 4, 26.0)) == 1
+    first, second = capsys.readouterr().err.splitlines()
+    assert first.startswith("insdvl train: no model: dive1 has 4 measurements of the DVL")
+    assert second.startswith("insdvl train: no model: dive4 has 5 measurements of the DVL")
+    damaged = tmp_path / "damaged.mcap"
+    damaged.write_bytes(b"none")
+    assert train(tmp_path, damaged, short) == 2
+    first, second = capsys.readouterr().err.splitlines()
+    assert first.startswith(f"insdvl train: cannot read recording {damaged}")
+    assert second.startswith("insdvl train: dive1 has 4 measurements of the DVL")
     assert train(tmp_path, tmp_path / "nowhere") == 2
     assert "nowhere" in capsys.readouterr().err
     assert not (tmp_path / "models").exists()

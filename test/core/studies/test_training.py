@@ -224,6 +224,7 @@ def test_the_command_writes_the_same_bytes_again(quick, written, tmp_path):
         (["--scheduler", "tcp://host:8786"], "--scheduler tcp://host:8786 needs --backend dask"),
         (["--seed", "-1"], "--seed must be within 0 to 4294967295, got -1"),
         (["--seed", str(2**32)], "--seed must be within 0 to 4294967295, got 4294967296"),
+        (["-c", "file"], "--config is used with --from-bags only"),
         (["--out", "file"], "--out file: file is not a folder"),
         (["--out", "file/models"], "--out file/models: file is not a folder"),
         (["--out", "/proc/models"], "--out /proc/models: "),

@@ -4,7 +4,7 @@ from collections import deque
 
 import numpy as np
 
-from insdvl.messages.topics import GLOBAL_ODOMETRY, GLOBAL_POSITION, IMU, ODOMETRY
+from insdvl.messages.topics import BIAS, GLOBAL_ODOMETRY, GLOBAL_POSITION, IMU, INNOVATION, ODOMETRY
 from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.earth import MAX_LATITUDE_DEG
 from insdvl.navigation.odometry import Odometry
@@ -42,7 +42,7 @@ class Output(Cause):
     def status(self, view: View) -> Status:
         """Rate, sigmas and latency."""
         status = Status("output", "no output yet")
-        view.show(status, ODOMETRY, GLOBAL_ODOMETRY, "imu/bias", GLOBAL_POSITION, "dvl/innovation")
+        view.show(status, ODOMETRY, GLOBAL_ODOMETRY, BIAS, GLOBAL_POSITION, f"dvl{INNOVATION}")
         view.show_events(status, _RESETS)
         output = self._published.last
         if output is None:

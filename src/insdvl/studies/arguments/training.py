@@ -84,6 +84,8 @@ def _faults(arguments: argparse.Namespace) -> Iterator[str]:
             if not path.exists():
                 yield f"{path} does not exist"
         return
+    if arguments.config:
+        yield "--config is used with --from-bags only: name the recordings, or leave it out"
     preset, window = arguments.preset, arguments.window
     yield from unknown_names("--preset", [preset], PRESETS)
     yield from worker_faults(arguments)

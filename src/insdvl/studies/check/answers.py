@@ -30,6 +30,9 @@ from insdvl.watch.alignment.check import FEWEST_WINDOWS
 
 #: Share of messages from which a fault makes a recording useless.
 MOST = 0.5
+#: A sigma of the messages is too large from so many times the scatter of the pings on. Errors that
+#: last are not in the scatter, and a driver may count them.
+TOO_UNSURE = 10.0
 
 
 def answers(seen: Inspection) -> list[Finding]:
@@ -198,8 +201,13 @@ def _start(seen: Inspection) -> Iterator[Finding]:
         text = f"Yes{told}: the filter starts under way, tilt to 3 deg, and needs a DVL velocity."
     elif start.spread > 1.0:
         text = f"It stays, but vibrates{told}: biases and heading are not taken from that rest."
-    else:
+    elif first:
         text = f"No{told}: levelling and gyroscope biases are taken from the rest."
+    else:
+        text = (
+            "Not told: the samples show no motion, and no DVL says whether the vehicle stays or "
+            "moves steadily."
+        )
     yield Finding(START, text)
 
 
@@ -356,6 +364,16 @@ def _pings(seen: Inspection) -> Iterator[Finding]:
     if dvl.scatter is not None and np.nansum(dvl.scatter) > 0.0:
         shown = _list(dvl.scatter[np.isfinite(dvl.scatter)])
         yield Finding(PINGS, f"They scatter by {shown} m/s, motion between pings included.")
+        told, largest = seen.parameters.dvl, float(np.nanmax(dvl.scatter))
+        of_messages = dvl.told or 0.0
+        unsure = of_messages > TOO_UNSURE * max(largest, told.noise_floor)
+        if unsure and told.covariance != "parameters":
+            yield _setting(
+                PINGS,
+                f"That is less than a tenth of the sigma of the messages, which dvl.covariance "
+                f"{told.covariance!r} takes: 'parameters' takes dvl.noise_std.",
+                {"dvl.covariance": "parameters"},
+            )
 
 
 def _fit(seen: Inspection) -> Iterator[Finding]:

@@ -4,7 +4,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from insdvl.messages import convert, depth
-from insdvl.messages.topics import BY_NAME, HEADING, TOPICS, Topic
+from insdvl.messages.topics import BY_NAME, HEADING, NO_SENSORS, TOPICS, Topic
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.recordings.bag_reader import RecordedTopic
 from insdvl.recordings.base import typestore
@@ -12,8 +12,8 @@ from insdvl.recordings.parameters import ReplayParameters
 
 #: What the velocity through water is called by drivers that tell it as well.
 _WATER = "water"
-#: Ends of the names of topics that filters, tuners and simulators publish: they are no sensors.
-_NOT_SENSORS = ("process_noise", "bias", "filtered", "cmd_vel", "set_odometry")
+#: Ends of the names of further topics that filters and operators publish: they are no sensors.
+_NOT_SENSORS = ("bias", "filtered", "cmd_vel")
 
 
 def dvl_rows() -> tuple[Topic, ...]:
@@ -112,11 +112,18 @@ def _fitting(topics: Mapping[str, RecordedTopic], types: Collection[str]) -> lis
 
 def _is_dvl(name: str, kind: str) -> bool:
     """Whether a topic of a type that a DVL may have is one: others have an odometry, too."""
+    if _ends(name, NO_SENSORS):  # such as dvl/innovation
+        return False
     return "dvl" in name.lower() or (kind != convert.ODOMETRY and not _is_no_sensor(name))
 
 
 def _is_no_sensor(name: str) -> bool:
-    return any(name.endswith(end) or f"{end}/" in name for end in _NOT_SENSORS)
+    return _ends(name, NO_SENSORS) or _ends(name, _NOT_SENSORS)
+
+
+def _ends(name: str, ends: Collection[str]) -> bool:
+    """Whether a topic, or one above it, ends so."""
+    return any(name.endswith(end) or f"{end}/" in name for end in ends)
 
 
 #: The types of the table: of other topics the index is enough.

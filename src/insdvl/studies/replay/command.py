@@ -4,13 +4,12 @@ import argparse
 import math
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 from insdvl.commands import INTERRUPTED
 from insdvl.jobs.progress import Progress
-from insdvl.messages.topics import MEASUREMENT_NOISE, PROCESS_NOISE
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import ParameterError, flatten
 from insdvl.parameters.files import ParameterFile
@@ -29,7 +28,13 @@ from insdvl.studies.replay.fold import Replayed, fold_recording, read
 from insdvl.studies.replay.inputs.between import Between
 from insdvl.studies.replay.inputs.extrinsics import with_extrinsics
 from insdvl.studies.replay.inputs.injection import Injected, Injection
-from insdvl.studies.replay.inputs.learning import Learned, LearnedOfDvl
+from insdvl.studies.replay.inputs.sources import (
+    Configuration,
+    check_named,
+    named_of,
+    with_measurement_noise,
+    with_process_noise,
+)
 from insdvl.studies.replay.inputs.watched import Watched, interruption
 from insdvl.studies.replay.result import Output, new_folder
 from insdvl.studies.replay.scores import report
@@ -38,25 +43,6 @@ from insdvl.studies.report.facts import card_of, changed_parameters, versions
 from insdvl.terminal import say
 from insdvl.tuner.parameters import TunerParameters
 from insdvl.watch.start import waits_for
-
-
-@dataclass(frozen=True)
-class Configuration:
-    """With what a recording is navigated.
-
-    Attributes:
-        filter: Parameters of the filter.
-        tuner: Parameters of the tuner.
-        replay: Parameters of the replay.
-        text: Where they are from.
-        warnings: What of the files has no effect.
-    """
-
-    filter: FilterParameters
-    tuner: TunerParameters
-    replay: ReplayParameters
-    text: str
-    warnings: tuple[str, ...]
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -86,6 +72,7 @@ def _replay(arguments: argparse.Namespace) -> tuple[bool, bool]:
     first, *others = (_configured(arguments, further) for further in ("", *arguments.compare))
     for text in dict.fromkeys(text for one in (first, *others) for text in one.warnings):
         print(f"insdvl replay: WARN {text}", file=sys.stderr)
+    check_named([first, *others])
     # First, since one that is refused must leave no result behind.
     compared = [_navigated(arguments, other, None)[0] for other in others]
     with interruption() as ends:
@@ -136,8 +123,9 @@ def _navigated(
     filter_ = with_extrinsics(arguments.bag, recording, filter_)
     if injection is not None:
         recording = Injected(recording, injection)
-    recording, q_from = _with_process_noise(recording, filter_, tuner)
-    recording, r_from = _with_measurement_noise(recording, filter_, tuner)
+    configuration = replace(configuration, filter=filter_)
+    recording, q_from = with_process_noise(recording, configuration)
+    recording, r_from = with_measurement_noise(recording, configuration)
     end = min(stored.duration, arguments.end or math.inf)
     progress = Progress("seconds", max(int(end - (arguments.begin or 0.0)), 1))
     recording = Watched(recording, progress if sys.stderr.isatty() else None, ends)
@@ -201,10 +189,9 @@ def _configured(arguments: argparse.Namespace, further: str = "") -> Configurati
         "insdvl_replay": ReplayParameters,
     }
     if arguments.estimator is not None:
-        rules += [
-            f"insdvl_tuner:estimator={arguments.estimator}",
-            "insdvl_filter:process_noise.source=external",
-        ]
+        rules.append(f"insdvl_tuner:estimator={arguments.estimator}")
+        # A source that is set beside it precedes it, and is refused where the estimator is idle.
+        rules.insert(0, "insdvl_filter:process_noise.source=external")
     faults: list[str] = []
     told = settings(rules, groups, faults)
     files = read_files(paths)
@@ -223,57 +210,14 @@ def _configured(arguments: argparse.Namespace, further: str = "") -> Configurati
         warned += [nothing_for(file, names[:1]) for file in files if reaches(file, names)]
     filter_, tuner, replay = (one.parameters for one in loaded)
     text = ", ".join([*map(str, paths), *rules]) or "all defaults: no --config was given"
-    return Configuration(filter_, tuner, replay, text, tuple(warned))
+    named = named_of(told["insdvl_tuner"])
+    return Configuration(filter_, tuner, replay, named, text, tuple(warned))
 
 
 def _full_name(namespace: str | None, files: Sequence[ParameterFile], node: str) -> str:
     if namespace is None:
         return full_name(files, node)
     return f"/{namespace.strip('/')}/{node}" if namespace.strip("/") else f"/{node}"
-
-
-def _with_process_noise(
-    recording: Recording, filter_: FilterParameters, tuner: TunerParameters
-) -> tuple[Recording, str]:
-    """The recording with the Q that the tuner learns, where that is asked for; and its source."""
-    source = filter_.process_noise.source
-    if source != "external":
-        return recording, source
-    if PROCESS_NOISE in recording.topics:
-        if tuner.estimator:
-            raise ParameterError(
-                f"the recording has {PROCESS_NOISE} already, beside that of the estimator "
-                f"{tuner.estimator!r}"
-            )
-        return recording, "external, recorded"
-    if not tuner.enabled:
-        raise ParameterError(
-            "process_noise.source is 'external', but the recording has no process noise "
-            "and the tuner is not enabled"
-        )
-    if 1.0 / tuner.rate > filter_.q_timeout:
-        raise ParameterError(
-            f"parameter 'rate' of insdvl_tuner must be at least {1 / filter_.q_timeout:g} "
-            f"Hz, got {tuner.rate!r}: q_timeout of insdvl_filter is {filter_.q_timeout:g} s"
-        )
-    return Learned(recording, tuner), f"external, learned by {tuner.estimator or tuner.model}"
-
-
-def _with_measurement_noise(
-    recording: Recording, filter_: FilterParameters, tuner: TunerParameters
-) -> tuple[Recording, str]:
-    """The recording with the R that the tuner learns, where that is asked for; and its source.
-
-    The vehicle is that of the filter.
-    """
-    source = filter_.dvl.noise_source
-    if source == "nominal":
-        return recording, source
-    if MEASUREMENT_NOISE in recording.topics:
-        return recording, f"{source}, recorded"
-    if not (tuner.measurement_noise and tuner.enabled):
-        return recording, source
-    return LearnedOfDvl(recording, tuner.of_vehicle(filter_)), f"{source}, learned by the tuner"
 
 
 def _check_places(arguments: argparse.Namespace) -> Path | None:

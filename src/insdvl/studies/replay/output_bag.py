@@ -15,7 +15,14 @@ from insdvl.messages.convert import ODOMETRY as ODOMETRY_TYPE
 from insdvl.messages.feed import Feed
 from insdvl.messages.inputs import frame_id_of
 from insdvl.messages.make import fill_fix, fill_innovation
-from insdvl.messages.topics import GLOBAL_ODOMETRY, GLOBAL_POSITION, IMU, ODOMETRY, taken
+from insdvl.messages.topics import (
+    GLOBAL_ODOMETRY,
+    GLOBAL_POSITION,
+    IMU,
+    INNOVATION,
+    ODOMETRY,
+    taken,
+)
 from insdvl.messages.transforms import TF, Transforms
 from insdvl.navigation.events import NS
 from insdvl.navigation.filter import Filter
@@ -119,7 +126,7 @@ class OutputBag:
             model = filter_.models[report.measurement]
             nu, S = model.in_stream(report.innovation, report.S)
             fill_innovation(message, update.stamp_ns, nu, _rounded(S), angles=model.angles)
-            self._bag.write(encode(f"/{report.measurement}/innovation", update.stamp_ns, message))
+            self._bag.write(encode(f"/{report.measurement}{INNOVATION}", update.stamp_ns, message))
 
 
 def _rounded(covariance: Array) -> Array:

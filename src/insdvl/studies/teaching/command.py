@@ -33,10 +33,11 @@ def run(arguments: argparse.Namespace) -> int:
         taught = teach(fits)
         card = {"name": NAME, **taught.card, "slow_error_of_dvl": of_dvl.card}
         written = write_model(arguments.out, taught.regressor.save(), card)
-    except TeachingError as error:
-        print(f"insdvl train: no model: {error}", file=sys.stderr)
+    except (TeachingError, LessonError) as error:
+        for line in str(error).splitlines():
+            print(f"insdvl train: no model: {line}", file=sys.stderr)
         return 1
-    except (BagError, LessonError, ParameterError, ModelError, OSError) as error:
+    except (BagError, ParameterError, ModelError, OSError) as error:
         for line in str(error).splitlines():
             print(f"insdvl train: {line}", file=sys.stderr)
         return 2
@@ -54,15 +55,26 @@ def lessons_of(bags: Sequence[Path], config: Sequence[Path]) -> list[Lesson]:
         config: Parameter files of the nodes; all defaults without any.
 
     Raises:
-        BagError: A recording cannot be read.
+        BagError: A recording cannot be read; a line for each that cannot be used.
         ParameterError: The parameters are refused.
-        LessonError: A recording cannot teach; the message says why.
+        LessonError: A recording cannot teach; a line for each that cannot, with the reason.
     """
     files = list(config)
     filter_ = load_section(files, "insdvl_filter", FilterParameters, required=bool(files))
     tuner = load_section(files, "insdvl_tuner", TunerParameters)
     replay = load_section(files, "insdvl_replay", ReplayParameters)
-    return [lesson_of_bag(bag, filter_, tuner, replay) for bag in bags]
+    lessons: list[Lesson] = []
+    faults: list[BagError | LessonError] = []
+    for bag in bags:
+        try:
+            lessons.append(lesson_of_bag(bag, filter_, tuner, replay))
+        except (BagError, LessonError) as error:
+            faults.append(error)
+    if faults:
+        text = "\n".join(map(str, faults))
+        unreadable = any(isinstance(fault, BagError) for fault in faults)
+        raise BagError(text) if unreadable else LessonError(text)
+    return lessons
 
 
 def lesson_of_bag(

@@ -24,7 +24,7 @@ class Learned(Recording):
     """A recording with the process noise that the tuner learns from its IMU.
 
     Args:
-        recording: Without process noise.
+        recording: The recording; process noise that it has is left out.
         parameters: Of the tuner.
 
     Raises:
@@ -46,7 +46,7 @@ class Learned(Recording):
             yield from self._recording.on(topics)
             return
         tuner = Tuner(self._parameters)
-        for raw in self._recording.on({*topics, IMU}):
+        for raw in self._recording.on({*topics, IMU} - {PROCESS_NOISE}):
             if raw.topic in topics:
                 yield raw
             if raw.topic == IMU and (learned := _learned(raw, tuner)) is not None:
