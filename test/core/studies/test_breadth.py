@@ -108,7 +108,7 @@ def test_the_page_has_the_numbers_of_the_document(document: dict) -> None:
     ]
     cells = [f"{middle:.3f} [{low:.3f}, {high:.3f}]" for middle, low, high in ratios]
     assert lines[0].endswith(f"| {' | '.join(cells)} |")
-    assert "2 runs of each line, seed 4" in text
+    assert "Runs of each line: 2; seed 4." in text
 
 
 def test_a_target_is_met_when_every_line_meets_it(document: dict) -> None:

@@ -80,7 +80,6 @@ def study_breadth(
     """
     first = planned[0]
     return {
-        "runs": first.runs,
         "tuning_runs": first.tuning_runs,
         "seed": first.seed,
         "comparisons": [_condensed(compare(plan, pool, store).document) for plan in planned],
@@ -93,6 +92,7 @@ def _condensed(document: Mapping[str, Any]) -> dict[str, Any]:
         "scenario": document["plan"]["scenario"],
         **{name: setting[name] for name in ("imu_grade", "dvl_rate", "dvl_std", "outage")},
         "omitted": document["omitted"],
+        "runs": document["runs"],
         "paired_runs": document["paired_runs"],
         "best_constant": document["searches"][BEST_CONSTANT]["best"],
         "rows": [

@@ -139,13 +139,23 @@ def configuration(comparison: Mapping[str, Any]) -> str:
 
 def _notes(document: Mapping[str, Any], comparisons: Sequence[Mapping[str, Any]]) -> str:
     lines = [
-        f"{document['runs']} runs of each line, seed {document['seed']}; the best constant is "
+        f"Runs of each line: {_runs(comparisons)}; seed {document['seed']}. The best constant is "
         "searched for each scenario, IMU and rate, without outages, on "
         f"{document['tuning_runs']} runs with other seeds."
     ]
     for comparison in comparisons:
         name, paired = name_of(comparison), comparison["paired_runs"]
-        if paired < document["runs"]:
+        if paired < comparison["runs"]:
             lines.append(f"{name}: {paired} runs in which no row failed.")
         lines += [f"{name}: without {row} ({why})." for row, why in comparison["omitted"].items()]
     return "\n".join(lines) + "\n"
+
+
+def _runs(comparisons: Sequence[Mapping[str, Any]]) -> str:
+    """Numbers of runs, with the scenarios where they are not all the same."""
+    scenarios: dict[int, dict[str, None]] = {}
+    for one in comparisons:
+        scenarios.setdefault(one["runs"], {})[f"`{one['scenario']}`"] = None
+    if len(scenarios) == 1:
+        return str(next(iter(scenarios)))
+    return ", ".join(f"{runs} in {', '.join(names)}" for runs, names in scenarios.items())
