@@ -382,6 +382,7 @@ class Filter:
         if covers:
             bias = self.parameters.initial.gyroscope_bias_std**2
             error_state.take_earth_rate_from_bias(s, heading, bias)
+            wrong_heading.trust(s)
         if s["start"]["heading_watched"] and invariant and self.parameters.earth_rate:
             self.start.doubt_heading(s)
         self._gates[event.name].accept(state, stamp_ns, now.H, K, left)

@@ -17,6 +17,7 @@ from insdvl.navigation.geometry.frames import rotation_from_rpy
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.start.automatic import UNKNOWN_HEADING
 from insdvl.simulation.grades import GRADES
+from insdvl.simulation.sensors.heading import HeadingModel
 from insdvl.studies.consistency.errors import (
     BLOCKS,
     Flown,
@@ -45,24 +46,28 @@ def started(heading_deg: float, **changes: object) -> tuple[Filter, Records]:
     return filter_, state
 
 
-def updated(filter_: Filter, state: Records, sigmas: float, learned: float = 0.01) -> Records:
+LEARNED = 0.01  # part of the variance of the bias
+
+
+def updated(filter_: Filter, state: Records, sigmas: float, heading_deg: float = 2.0) -> Records:
     """After a ping that finds the gyroscope bias off.
 
     Args:
         filter_: The filter.
         state: Its state.
         sigmas: How far, in sigma of what was learned.
-        learned: Part of the variance of the bias that was learned.
+        heading_deg: One sigma of the heading that was found.
     """
-    std = filter_.parameters.initial.gyroscope_bias_std
+    std, learned = filter_.parameters.initial.gyroscope_bias_std, LEARNED
     P = state[0]["nav"]["P"]
+    P[HEADING, HEADING] = min(P[HEADING, HEADING], math.radians(heading_deg) ** 2)
     P[GYROSCOPE_BIAS, GYROSCOPE_BIAS] = np.eye(3) * std**2 * (1.0 - learned)
     state[0]["nav"]["b_w"][1] = sigmas * math.sqrt(learned) * std
     filter_.update(state, Dvl(NS, np.array([1.5, 0.0, 0.0])), np.zeros(3), 1.0)
     return state
 
 
-@pytest.mark.parametrize(("heading_deg", "sigmas"), [(100.0, 4.0), (1.0, 8.0), (40.0, 8.0)])
+@pytest.mark.parametrize(("heading_deg", "sigmas"), [(100.0, 7.0), (1.0, 9.0), (40.0, 9.0)])
 def test_a_bias_that_can_be_or_a_heading_that_was_told_changes_nothing(
     heading_deg: float, sigmas: float
 ) -> None:
@@ -74,9 +79,8 @@ def test_a_bias_that_can_be_or_a_heading_that_was_told_changes_nothing(
 
 def test_a_bias_that_cannot_be_makes_the_heading_unknown_once() -> None:
     filter_, state = started(100.0)
-    state[0]["nav"]["P"][HEADING, HEADING] = math.radians(2.0) ** 2
     before = state[0]["nav"].copy()
-    nav = updated(filter_, state, 8.0)[0]["nav"]
+    nav = updated(filter_, state, 9.0)[0]["nav"]
     assert state[0]["counters"]["wrong_headings"] == 1
     assert nav["P"][HEADING, HEADING] == UNKNOWN_HEADING**2
     np.testing.assert_array_equal(nav["b_w"], 0.0)
@@ -84,13 +88,18 @@ def test_a_bias_that_cannot_be_makes_the_heading_unknown_once() -> None:
     np.testing.assert_array_equal(nav["P"][GYROSCOPE_BIAS, GYROSCOPE_BIAS], np.eye(3) * std**2)
     np.testing.assert_allclose(nav["llh"], before["llh"], atol=1e-9)
     assert np.linalg.eigvalsh(nav["P"][: filter_.n, : filter_.n])[0] >= 0.0
-    updated(filter_, state, 8.0)
+    updated(filter_, state, 9.0)
     assert state[0]["counters"]["wrong_headings"] == 1
+
+
+def test_a_heading_that_was_not_found_yet_is_not_contradicted() -> None:
+    state = updated(*started(100.0), 9.0, heading_deg=60.0)
+    assert state[0]["counters"]["wrong_headings"] == 0
 
 
 @pytest.mark.parametrize("changes", [{"error_state": "ned"}, {"earth_rate": False}])
 def test_without_the_earths_rotation_or_the_group_no_heading_is_found(changes: dict) -> None:
-    state = updated(*started(100.0, **changes), 8.0)
+    state = updated(*started(100.0, **changes), 9.0)
     assert state[0]["counters"]["wrong_headings"] == 0
 
 
@@ -127,6 +136,22 @@ def test_half_a_turn_off_the_heading_is_found_after_all(factor: float) -> None:
     found = nees(run)
     for block in BLOCKS:
         assert np.mean(found[block][-200:]) < 4.0, block
+
+
+@pytest.mark.parametrize("seed", [3000, 3001, 3002])
+def test_a_sensor_that_tells_an_unknown_heading_is_not_contradicted(seed: int) -> None:
+    """It comes after a minute under way, when the bias has covered a part of the Earth's rate."""
+    sensor = HeadingModel(rate=1.0)
+    case = Case(GRADES["tactical"], 100.0, uniform_heading=True, duration=120.0, heading=sensor)
+    mission = mission_of(case, seed)
+    late = mission.heading_stamps_ns > mission.start_ns + 60 * NS
+    mission = replace(
+        mission, heading_stamps_ns=mission.heading_stamps_ns[late], attitude=mission.attitude[late]
+    )
+    initial = initial_state(case, mission.initial, np.random.default_rng([seed, 1]))
+    run = folded(mission, parameters(case), [initial])
+    assert run.states[-1]["counters"]["wrong_headings"] == 0
+    assert abs(heading_deg(run)[-1]) < 4.0 * heading_sigma_deg(run)[-1]
 
 
 @pytest.mark.long

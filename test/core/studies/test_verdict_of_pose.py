@@ -22,7 +22,7 @@ from insdvl.studies.replay.part import Travelled
 from insdvl.studies.replay.reference import AtReference, reference_of
 
 COUNT = 400
-DOCUMENT: dict[str, Any] = {"start": None}
+DOCUMENT: dict[str, Any] = {"start": None, "counts": {"odom_resets": 0}}
 
 
 def turned(yaw: Array) -> Array:
@@ -66,6 +66,10 @@ def test_a_heading_and_a_position_that_are_off_by_many_sigmas_are_findings() -> 
     assert findings(against()) == []
     assert findings(against(heading=math.pi - 0.1)) == ["heading_error"]
     assert findings(against(beside=np.linspace(0.0, 100.0, COUNT))) == ["position_error"]
+    jumped = DOCUMENT | {"counts": {"odom_resets": 1}}
+    assert findings(against(beside=np.linspace(0.0, 100.0, COUNT)), jumped) == []
+    first_fix_off = np.where(np.arange(COUNT) == 0, 30.0, 0.0)
+    assert findings(against(beside=first_fix_off)) == []
     both = against(heading=1.0, beside=np.linspace(0.0, 100.0, COUNT))
     first, second = pose.of_pose(
         pose.against_reference(both), DOCUMENT, build(FilterParameters, RIGHT)

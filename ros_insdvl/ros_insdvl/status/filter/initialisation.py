@@ -31,9 +31,9 @@ _EVENTS = {
     "not_level": "levelling restarted {count} times in the last {seconds:.0f} s: the specific "
     "force differs from gravity, or samples are missing; keep the vehicle still, check the IMU and "
     "its unit",
-    "wrong_headings": "{count} times in the last {seconds:.0f} s the gyroscope bias went beyond 5 "
-    "of its initial sigma and contradicted the heading, which is unknown again: tell the heading, "
-    "or set initial.gyroscope_bias_std to that of the IMU",
+    "wrong_headings": "{count} times in the last {seconds:.0f} s the gyroscope bias moved further "
+    "than can be and contradicted the heading, which is unknown again: tell the heading, or check "
+    "initial.gyroscope_bias_std, dvl.noise_std and dvl.bias_model",
 }
 
 

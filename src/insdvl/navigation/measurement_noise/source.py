@@ -139,7 +139,7 @@ class MeasurementNoise:
             return InForce(1.0, {NOMINAL: 1.0}, age_ns, timed_out=False)
         learned_ns = int(m["learned_ns"])
         basis, timed_out = NOMINAL, not self._in_time(m, learned_ns) and age_ns is not None
-        if self._in_time(m, learned_ns):
+        if self._in_time(m, learned_ns) and m["received_factor"]:
             basis = RECEIVED
         elif len(window.recent(m["squares"], m["squares_ns"], learned_ns)) >= window.FEWEST:
             basis = WINDOW

@@ -201,7 +201,8 @@ class DvlParameters(SensorParameters):
     ROOM: ClassVar[Mapping[str, int]] = {"dvl_error": 3, "dvl_mount": 3}
     REMEDIES: ClassVar[Mapping[str, str]] = {
         "invalid": "the driver marks them as invalid, or fills in numbers that stand for none, "
-        "such as a sigma of 10 m/s or more: wait for bottom lock",
+        "such as a sigma of 10 m/s or more: wait for bottom lock, or correct the driver's "
+        "covariance",
         "no_bottom": "altitude below zero, or fewer than three beams: the DVL has no bottom lock",
         "no_lock": "the DVL sends exact zeros: it has no bottom lock",
         "repeated": "the DVL repeats an earlier measurement: no bottom lock, or two publishers",

@@ -28,7 +28,10 @@ from insdvl.navigation.state.fields import State
 #: One sigma of the heading at the start from which on half a turn is possible (4 sigma) [rad].
 DOUBTFUL = math.radians(45.0)
 #: A component of the gyroscope bias that has moved by more than so many sigma contradicts the
-#: heading. A filter that is right gets there once in 600,000 looks.
+#: heading: 5 sigma of a filter that is right, which it gets to once in 600,000 looks, times 1.5, by
+#: which its noise may be told too small.
+CONTRADICTED = 7.5
+#: What was estimated along with the wrong heading starts again with so many times its sigma.
 SIGMAS = 5.0
 #: Least part of a bias' variance that measurements have taken away: less is rounding.
 LEAST_LEARNED = 1e-9
@@ -44,8 +47,14 @@ def watch(s: State) -> None:
     s["start"]["heading_watched"] = s["nav"]["P"][_HEADING, _HEADING] > DOUBTFUL**2
 
 
+def trust(s: State) -> None:
+    """A sensor has told the heading; it is in no doubt any more where the sensor knows it."""
+    if s["nav"]["P"][_HEADING, _HEADING] < DOUBTFUL**2:
+        s["start"]["heading_watched"] = 0
+
+
 def is_contradicted(s: State, told_b_w: Array, variance: float, walk: float) -> bool:
-    """Whether the gyroscope bias has moved further than what was learned of it allows.
+    """Whether a heading was found, and the gyroscope bias has moved further than can be.
 
     The variance of an estimate about what was told is the part of the variance that measurements
     have taken away. That is a small one where the process noise is large, and the bias itself may
@@ -58,10 +67,12 @@ def is_contradicted(s: State, told_b_w: Array, variance: float, walk: float) -> 
         walk: Density of its random walk [(rad/s)^2/s].
     """
     nav = s["nav"]
+    if nav["P"][_HEADING, _HEADING] > DOUBTFUL**2:  # none was found yet
+        return False
     seconds = (int(nav["time_ns"]) - int(nav["start_ns"])) / NS
     before = variance + walk * seconds
     learned = before - np.diagonal(nav["P"])[GYROSCOPE_BIAS]
-    moved = np.square(nav["b_w"] - told_b_w) > SIGMAS**2 * learned
+    moved = np.square(nav["b_w"] - told_b_w) > CONTRADICTED**2 * learned
     return bool(np.any(moved & (learned > LEAST_LEARNED * before)))
 
 

@@ -61,7 +61,7 @@ class AgainstReference:
 
     Attributes:
         heading: [rad].
-        position: Horizontal [m], since the first stamp of the reference.
+        position: Horizontal [m], about the offset while the heading was known first.
     """
 
     heading: PoseError | None
@@ -83,13 +83,16 @@ def against_reference(at: AtReference) -> AgainstReference | None:
         error = np.abs(attitude_error(at.track.C_n_b, at.truth.C_n_b)[:, 2])
         sigma = np.hypot(at.heading_sigma, told)
         heading = _error(error[known], sigma[known], CAREFUL_TURN)
-    length = path_length(at.truth.p_o)
+    # The noise of either makes its own path longer.
+    length = min(path_length(at.truth.p_o), path_length(at.track.p_o))
     if length > 0.0:
         # The origins may differ. The standard deviation of a difference is at most the sum of both.
         off = (at.truth.p_o - at.track.p_o)[:, :2]
         sigma = np.hypot(np.linalg.norm(at.sigma[:, 3:5], axis=1), at.told_sigma[:, 1])
-        error = np.linalg.norm(off - off[0], axis=1)
-        position = _error(error[known], (sigma + sigma[0])[known], CAREFUL_SHARE * length)
+        first = np.flatnonzero(known)[:FEWEST]
+        error = np.linalg.norm(off - np.median(off[first], axis=0), axis=1)
+        sigma = sigma + np.median(sigma[first])
+        position = _error(error[known], sigma[known], CAREFUL_SHARE * length)
     return AgainstReference(heading, position)
 
 
@@ -122,7 +125,8 @@ def of_pose(
         else:
             remedy = "check what told it at the start, initial.heading_std and the gyroscope"
         yield Finding("heading_error", text, f"{remedy}; or the axes of the reference are others")
-    if position and position.is_wrong:
+    # A jump of odom is none of the filter's errors.
+    if position and position.is_wrong and not document["counts"].get("odom_resets"):
         text = (
             f"the position is {position.rmse:.3g} m off the reference (RMSE), and the filter says "
             f"a sigma of {position.sigma:.2g} m"
