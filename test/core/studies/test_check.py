@@ -303,6 +303,20 @@ def test_a_sigma_of_the_messages_that_stands_for_none_makes_a_recording_useless(
     assert " invalid." in texts(found, PINGS)
 
 
+def test_a_dvl_without_a_component_tells_that_the_vehicle_moves() -> None:
+    """At a constant speed the samples look like those at rest."""
+    steady = []
+    for raw in raws_of(flown(3.0, STATIC)):
+        if raw.topic == "/dvl":
+            R = np.diag([1e-4, 1e-4, np.inf])
+            raw = encode(
+                raw.topic, raw.time_ns, twist_message(stamp_ns(raw), "dvl", (1.0, 0.0, 0.0), R)
+            )
+        steady.append(raw)
+    found = texts(said(steady), START)
+    assert found.startswith("Yes, the DVL reads 1.00 m/s: the filter starts under way")
+
+
 def test_a_fix_a_pressure_and_a_compass_are_found(raws: list[Raw]) -> None:
     fix, pressure = new_message(FIX), new_message(PRESSURE)
     fix.latitude, fix.longitude = 59.9, 10.7

@@ -348,7 +348,7 @@ def test_a_model_that_does_not_exist_is_refused(
     tuned: Path, source: tuple[str, ...], bag: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     replayed(tuned, *source, "--set", "model=nope", bag=bag, code=2)
-    assert "nope.json" in capsys.readouterr().err
+    assert "there is no model 'nope'" in capsys.readouterr().err
 
 
 def test_a_model_or_an_estimator_that_nothing_would_use_is_refused(

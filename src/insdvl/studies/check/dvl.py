@@ -34,7 +34,7 @@ class DvlFacts:
         scatter: (3,) one sigma of the noise, by differences [m/s], nan for a component that was
             not measured; None with too few.
         told: One sigma that the messages tell, the median [m/s]; None where they tell none.
-        first: Sizes of the first velocities [m/s].
+        first: Sizes of what the first three measured [m/s].
     """
 
     count: int
@@ -99,7 +99,7 @@ class DvlLog:
             mean=v.mean(axis=0) if len(v) else np.zeros(3),
             scatter=_scatter(np.array(self._stamps), every),
             told=float(np.median(self._told)) if self._told else None,
-            first=tuple(float(speed) for speed in speeds[:3]),
+            first=tuple(float(size) for size in sizes[:3]),
         )
 
 
