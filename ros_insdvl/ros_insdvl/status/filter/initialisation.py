@@ -32,8 +32,8 @@ _EVENTS = {
     "force differs from gravity, or samples are missing; keep the vehicle still, check the IMU and "
     "its unit",
     "wrong_headings": "{count} times in the last {seconds:.0f} s the gyroscope bias moved further "
-    "than can be and contradicted the heading, which is unknown again: tell the heading, or check "
-    "initial.gyroscope_bias_std, dvl.noise_std and dvl.bias_model",
+    "than its sigma allows and contradicted the heading, which is unknown again: tell the heading, "
+    "or check initial.gyroscope_bias_std, dvl.noise_std and dvl.bias_model",
 }
 
 

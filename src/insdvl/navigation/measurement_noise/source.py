@@ -137,9 +137,9 @@ class MeasurementNoise:
             age_ns = int(s["nav"]["time_ns"]) - int(m["received_ns"])
         if m["learned_ns"] == NEVER:
             return InForce(1.0, {NOMINAL: 1.0}, age_ns, timed_out=False)
-        learned_ns = int(m["learned_ns"])
-        basis, timed_out = NOMINAL, not self._in_time(m, learned_ns) and age_ns is not None
-        if self._in_time(m, learned_ns) and m["received_factor"]:
+        learned_ns, basis = int(m["learned_ns"]), NOMINAL
+        in_time = self._in_time(m, learned_ns)
+        if in_time and m["received_factor"]:
             basis = RECEIVED
         elif len(window.recent(m["squares"], m["squares_ns"], learned_ns)) >= window.FEWEST:
             basis = WINDOW
@@ -147,6 +147,7 @@ class MeasurementNoise:
         doubt = self._doubt(told, len(m["innovation"]))
         shares = {INNOVATIONS: 1.0 - doubt, basis: doubt}
         origins = {name: share for name, share in shares.items() if share > 0.0}
+        timed_out = age_ns is not None and not in_time
         return InForce(float(m["factor"]), origins, age_ns, timed_out)
 
     # ---------------------------------------------------------------- the pings, carried by the IMU

@@ -54,7 +54,7 @@ def trust(s: State) -> None:
 
 
 def is_contradicted(s: State, told_b_w: Array, variance: float, walk: float) -> bool:
-    """Whether a heading was found, and the gyroscope bias has moved further than can be.
+    """Whether a heading was found, and the gyroscope bias has moved further than allowed.
 
     The variance of an estimate about what was told is the part of the variance that measurements
     have taken away. That is a small one where the process noise is large, and the bias itself may
