@@ -10,13 +10,16 @@ from ros_messages import STEP_NS, stamp_of
 from sensor_msgs.msg import Imu
 
 from insdvl.messages.make import fill_imu, fill_twist
+from insdvl.messages.topics import DVL, DVL_WITH_COVARIANCE, MEASUREMENT_NOISE
 from insdvl.navigation.events import Imu as Sample
 from insdvl.navigation.measurements.dvl import Dvl
-from insdvl.tuner.measurement_noise import DvlTuner
+from insdvl.tuner.measurement_noise import UNUSED, DvlTuner
 from insdvl.tuner.parameters import TunedDvl, TunerParameters
 from ros_insdvl.filter import FilterNode
 from ros_insdvl.navigator import navigator_nodes
+from ros_insdvl.status.diagnostics import Status, View
 from ros_insdvl.status.heard import OK, WARN
+from ros_insdvl.status.tuner.measurement_noise import measurement_noise_status
 from ros_insdvl.tuner import TunerNode
 
 NODE = "/auv/insdvl_tuner"
@@ -111,6 +114,40 @@ def test_pings_that_cannot_be_used_are_counted_and_nothing_is_told_of_them(graph
     graph.until_reported(NODE, times=2)
     status = graph.status(NODE, "measurement noise")
     assert status.level == WARN and "2 not_finite" in status.message
+
+
+@pytest.mark.parametrize(
+    ("unused", "told"),
+    [
+        ("pings_incomplete", "50 with a component that is not measured"),
+        ("pings_without_lock", "50 zero, repeated or not finite"),
+        ("pings_out_of_order", "50 not newer than the one before"),
+        ("pings_without_samples", "50 without IMU samples around them"),
+    ],
+)
+def test_that_no_ping_tells_the_noise_is_reported_with_the_reason(unused: str, told: str) -> None:
+    assert not status_of([{"pings": 50}, {"pings": 50, unused: 50}]).complaints
+    status = status_of([{"pings": 50}, {"pings": 50}, {"pings": 50, unused: 50}])
+    assert status.complaints and told in status.message
+    assert not status_of([{}, {}, {"pings": 1, unused: 50}]).complaints  # one of them was used
+
+
+def status_of(counts: list[dict[str, int]]) -> Status:
+    """The status after counts of pings that are 8 s apart; a sum over 10 s sees the last two."""
+    view, names = View(0.0), ("pings", *UNUSED)
+    heard = dict.fromkeys((DVL, DVL_WITH_COVARIANCE), 0)
+    for k, events in enumerate(counts):
+        now = 8.0 * (k + 1)
+        heard[DVL] += 1
+        view.look(
+            now,
+            received=heard,
+            sent={MEASUREMENT_NOISE: 0},
+            rejected={},
+            events=events,
+            heard={DVL: now},
+        )
+    return measurement_noise_status(view, None, names)
 
 
 def test_without_the_parameter_the_dvl_is_not_listened_to(managed):

@@ -29,6 +29,13 @@ from insdvl.tuner.parameters import TunerParameters
 #: The turn rate for the arm is that of a line through the samples of this time.
 _TURN_NS = NS // 4
 _LONGEST_NS = round(window.LONGEST * NS)
+#: Counts of pings that tell nothing, see `DvlTuner`.
+UNUSED = (
+    "pings_incomplete",
+    "pings_without_lock",
+    "pings_out_of_order",
+    "pings_without_samples",
+)
 #: Pings that wait for their samples, at most.
 _MOST_WAITING = 100
 
@@ -69,9 +76,10 @@ class DvlTuner:
     """Estimates the noise of a DVL.
 
     Attributes:
-        counts: Pings that were used (``pings``) and that were not: of a component that was not
-            measured, exact zeros or a repetition (``pings_without_lock``), late ones
-            (``pings_out_of_order``), and those without samples (``pings_without_samples``).
+        counts: Pings that were used (``pings``) and that were not: with a component that was not
+            measured (``pings_incomplete``), exact zeros or a repetition (``pings_without_lock``),
+            late ones (``pings_out_of_order``), and those without samples
+            (``pings_without_samples``).
     """
 
     def __init__(self, parameters: TunerParameters) -> None:
@@ -91,9 +99,7 @@ class DvlTuner:
         # Stamp of the newest ping and square of the last differences
         self._squares: deque[tuple[int, float]] = deque(maxlen=window.SIZE)
         self._last: Dvl | None = None
-        self.counts = dict.fromkeys(
-            ("pings", "pings_without_lock", "pings_out_of_order", "pings_without_samples"), 0
-        )
+        self.counts = dict.fromkeys(("pings", *UNUSED), 0)
         self._rate(np.arange(3) * NS, np.zeros((3, 3)), 2 * NS)  # compiles it
 
     def add_sample(self, sample: Imu) -> list[TunedSensorNoise]:
@@ -125,7 +131,10 @@ class DvlTuner:
     def add_ping(self, ping: Dvl) -> list[TunedSensorNoise]:
         """Add a ping; its estimate, where the samples of its time are here."""
         ping = Dvl(ping.stamp_ns + self._dvl_offset_ns, ping.v_d, ping.R, ping.measured)
-        if refusal(ping) or not all(ping.measured) or not ping.v_d.any():
+        if not all(ping.measured):
+            self.counts["pings_incomplete"] += 1
+            return []
+        if refusal(ping) or not ping.v_d.any():
             self.counts["pings_without_lock"] += 1
             return []
         newest = self._waiting[-1] if self._waiting else self._last

@@ -16,17 +16,17 @@ from recordings import save
 
 from insdvl.cli import main
 from insdvl.jobs.progress import Progress
-from insdvl.messages.topics import IMU, PROCESS_NOISE
+from insdvl.messages.topics import DVL, IMU, MEASUREMENT_NOISE, PROCESS_NOISE
 from insdvl.navigation.events import Event
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import DvlParameters, FilterParameters, GateParameters
 from insdvl.studies.judgement.noise_in_force import NoiseInForce
 from insdvl.studies.replay import command
-from insdvl.studies.replay.inputs.learning import Learned
+from insdvl.studies.replay.inputs.learning import Learned, LearnedOfDvl
 from insdvl.studies.replay.inputs.watched import interruption
 from insdvl.studies.replay.taken import Taken
 from insdvl.timeline.recorded import fold_arrays
-from insdvl.tuner.parameters import TunerParameters
+from insdvl.tuner.parameters import TunedDvl, TunerParameters
 
 CONFIG = """
 /**/insdvl_filter:
@@ -372,3 +372,64 @@ def test_a_model_or_an_estimator_that_nothing_would_use_is_refused(
     compare = ("--compare", "process_noise.source=external")
     document = replayed(folder, "--set", "model=bands", *compare)
     assert document["compared"][0]["process_noise"] == "external, learned by bands"
+
+
+@pytest.fixture(scope="module")
+def with_noise(folder: Path) -> Path:
+    """The same folder, with the recording `noisy`: the dive, recorded with the R of a tuner."""
+    names = {"/imu": IMU, "/dvl": DVL}
+    raws = [r._replace(topic=names.get(r.topic, r.topic)) for r in raws_of(flown(SECONDS))]
+    memory = Memory(raws)
+    stream = SimpleNamespace(topics=frozenset(memory.topics), on=memory.raw)
+    vehicle = TunerParameters(dvl=TunedDvl(noise_std=(0.02, 0.02, 0.02)))
+    learned = LearnedOfDvl(stream, vehicle)  # type: ignore[arg-type]
+    back = {IMU: "/imu", DVL: "/dvl", MEASUREMENT_NOISE: "/measurement_noise"}
+    raws = list(learned.on({*memory.topics, MEASUREMENT_NOISE}))
+    assert any(raw.topic == MEASUREMENT_NOISE for raw in raws)
+    save(folder / "noisy", [r._replace(topic=back.get(r.topic, r.topic)) for r in raws])
+    return folder
+
+
+ADAPTIVE = ("--set", "dvl.noise_source=adaptive")
+R_LEARNED = ("--set", "measurement_noise=true")
+
+
+def test_an_r_that_is_to_be_learned_is_learned_in_place_of_a_recorded_one(
+    with_noise: Path,
+) -> None:
+    told = (*ADAPTIVE, "--set", "dvl.noise_std=[0.1, 0.1, 0.1]")
+    recorded = replayed(with_noise, *told, bag="noisy")
+    assert recorded["measurement_noise"] == "adaptive, recorded"
+    document = replayed(with_noise, *told, *R_LEARNED, bag="noisy")
+    assert document["measurement_noise"] == (
+        "adaptive, learned by the tuner, in place of the recorded"
+    )
+    without = replayed(with_noise, *told, *R_LEARNED)
+    assert without["measurement_noise"] == "adaptive, learned by the tuner"
+    assert document["nis_mean"] == without["nis_mean"] != recorded["nis_mean"]
+
+
+@pytest.mark.parametrize("source", ["nominal", "oracle"])
+def test_an_r_that_is_to_be_learned_and_that_nothing_would_use_is_refused(
+    with_noise: Path, source: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = ("--set", f"dvl.noise_source={source}", *R_LEARNED)
+    for bag in ("dive", "noisy"):
+        replayed(with_noise, *told, bag=bag, code=2)
+        assert capsys.readouterr().err.endswith(
+            "parameter 'measurement_noise' of insdvl_tuner is set to True but would not be used: "
+            f"dvl.noise_source is {source!r}; add --set dvl.noise_source=adaptive, or leave "
+            "measurement_noise out\n"
+        )
+    # It is meant for the second one.
+    compare = ("--compare", "dvl.noise_source=adaptive")
+    document = replayed(with_noise, "--set", "dvl.noise_source=nominal", *R_LEARNED, *compare)
+    assert document["compared"][0]["measurement_noise"] == "adaptive, learned by the tuner"
+
+
+def test_a_tuner_that_is_off_learns_no_r(
+    with_noise: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    off = ("--set", "insdvl_tuner:enabled=false", "--set", "process_noise.source=constant")
+    replayed(with_noise, *ADAPTIVE, *R_LEARNED, *off, code=2)
+    assert "the tuner is not enabled" in capsys.readouterr().err

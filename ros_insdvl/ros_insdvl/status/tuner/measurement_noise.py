@@ -5,10 +5,19 @@ from collections.abc import Collection
 import numpy as np
 
 from insdvl.messages.topics import DVL, DVL_WITH_COVARIANCE, MEASUREMENT_NOISE
-from insdvl.tuner.measurement_noise import TunedSensorNoise
-from ros_insdvl.status.diagnostics import WARN, Status, View
+from insdvl.tuner.measurement_noise import UNUSED, TunedSensorNoise
+from ros_insdvl.status.diagnostics import RECENT, WARN, Status, View
 
 _DVLS = (DVL, DVL_WITH_COVARIANCE)
+#: What the counts of unused pings mean.
+_WHY = {
+    "pings_incomplete": "with a component that is not measured",
+    "pings_without_lock": "zero, repeated or not finite",
+    "pings_out_of_order": "not newer than the one before",
+    "pings_without_samples": "without IMU samples around them",
+}
+#: So many pings without one that can be used are no longer chance.
+_FEW = 5
 
 
 def measurement_noise_status(
@@ -27,6 +36,16 @@ def measurement_noise_status(
     view.report_silence(
         status, heard, WARN, "check the DVL's driver, its topic and the connections"
     )
+    recent = view.events.recent
+    unused = {name: recent[name] for name in UNUSED if recent[name]}
+    if not recent["pings"] and sum(unused.values()) > _FEW:
+        told = ", ".join(f"{count} {_WHY[name]}" for name, count in unused.items())
+        status.complain(
+            WARN,
+            "nothing",
+            f"no ping of the last {RECENT:.0f} s tells the DVL's noise: {told}; the filter "
+            "continues with an estimate of its own",
+        )
     if latest is not None:
         for axis, sigma in zip("xyz", np.sqrt(np.diagonal(latest.R)), strict=True):
             status.values[f"R sigma {axis} [m/s]"] = f"{sigma:.3g}"

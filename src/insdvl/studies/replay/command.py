@@ -211,7 +211,8 @@ def _configured(arguments: argparse.Namespace, further: str = "") -> Configurati
     filter_, tuner, replay = (one.parameters for one in loaded)
     text = ", ".join([*map(str, paths), *rules]) or "all defaults: no --config was given"
     named = named_of(told["insdvl_tuner"])
-    return Configuration(filter_, tuner, replay, named, text, tuple(warned))
+    learns_dvl_noise = "measurement_noise" in told["insdvl_tuner"] and tuner.measurement_noise
+    return Configuration(filter_, tuner, replay, named, learns_dvl_noise, text, tuple(warned))
 
 
 def _full_name(namespace: str | None, files: Sequence[ParameterFile], node: str) -> str:

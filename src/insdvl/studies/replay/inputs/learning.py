@@ -79,7 +79,7 @@ class LearnedOfDvl(Recording):
     """A recording with the noise of its DVL that the tuner learns.
 
     Args:
-        recording: Without measurement noise.
+        recording: The recording; measurement noise that it has is left out.
         parameters: Of the tuner, with those of the vehicle.
     """
 
@@ -98,7 +98,7 @@ class LearnedOfDvl(Recording):
             return
         messages = DvlMessages(self._parameters)
         sensors = {IMU, *(row.name for row in TOPICS if row.measurement == Dvl.name)}
-        for raw in self._recording.on({*topics, *sensors}):
+        for raw in self._recording.on({*topics, *sensors} - {MEASUREMENT_NOISE}):
             if raw.topic in topics:
                 yield raw
             if raw.topic not in sensors:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from insdvl.messages.topics import MEASUREMENT_NOISE, PROCESS_NOISE
+from insdvl.navigation.measurement_noise.source import NOMINAL, ORACLE
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import ParameterError
 from insdvl.recordings.parameters import ReplayParameters
@@ -16,6 +17,8 @@ from insdvl.tuner.parameters import TunerParameters
 
 #: Parameters of the tuner that say what learns Q.
 LEARNERS = ("model", "estimator")
+#: Values of dvl.noise_source with which the R that the tuner learns is not used.
+_NOT_LEARNED = (NOMINAL, ORACLE)
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,8 @@ class Configuration:
         replay: Parameters of the replay.
         named: Those of the `LEARNERS` that the command line itself sets. Who names one wants it:
             it is used, or the replay is refused.
+        learns_dvl_noise: Whether the command line itself sets ``measurement_noise``; the same
+            holds of it.
         text: Where they are from.
         warnings: What of the files has no effect.
     """
@@ -36,6 +41,7 @@ class Configuration:
     tuner: TunerParameters
     replay: ReplayParameters
     named: Mapping[str, str]
+    learns_dvl_noise: bool
     text: str
     warnings: tuple[str, ...]
 
@@ -55,7 +61,7 @@ def named_of(told: Mapping[str, Any]) -> dict[str, str]:
 
 
 def check_named(configurations: Sequence[Configuration]) -> None:
-    """Refuse a model or an estimator that the command line names, and that nothing would use.
+    """Refuse what the command line itself sets to learn noise, and that nothing would use.
 
     It may be meant for one of several configurations that are compared.
 
@@ -70,6 +76,13 @@ def check_named(configurations: Sequence[Configuration]) -> None:
                 load_model(value)
             if (name, value) not in used:
                 raise ParameterError(_not_used(one, name, value))
+    sources = [c.filter.dvl.noise_source for c in configurations if c.learns_dvl_noise]
+    if sources and all(source in _NOT_LEARNED for source in sources):
+        raise ParameterError(
+            "parameter 'measurement_noise' of insdvl_tuner is set to True but would not be used: "
+            f"dvl.noise_source is {sources[0]!r}; add --set dvl.noise_source=adaptive, or leave "
+            "measurement_noise out"
+        )
 
 
 def _learns(configuration: Configuration) -> bool:
@@ -127,17 +140,28 @@ def with_measurement_noise(
 ) -> tuple[Recording, str]:
     """The recording with the R that the tuner learns, where that is asked for; and its source.
 
-    The vehicle is that of the filter.
+    The vehicle is that of the filter. A recording that has R keeps it, unless the command line
+    itself asks the tuner for it.
     """
     filter_, tuner = configuration.filter, configuration.tuner
     source = filter_.dvl.noise_source
-    if source == "nominal":
+    if source in _NOT_LEARNED:
         return recording, source
-    if MEASUREMENT_NOISE in recording.topics:
+    is_recorded = MEASUREMENT_NOISE in recording.topics
+    if is_recorded and not configuration.learns_dvl_noise:
         return recording, f"{source}, recorded"
-    if not (tuner.measurement_noise and tuner.enabled):
+    if not tuner.measurement_noise:
         return recording, source
-    return LearnedOfDvl(recording, tuner.of_vehicle(filter_)), f"{source}, learned by the tuner"
+    if not tuner.enabled:
+        if configuration.learns_dvl_noise:
+            raise ParameterError(
+                "parameter 'measurement_noise' of insdvl_tuner is set to True, but the tuner is "
+                "not enabled: set insdvl_tuner:enabled=true"
+            )
+        return recording, source
+    instead = ", in place of the recorded" if is_recorded else ""
+    learned = LearnedOfDvl(recording, tuner.of_vehicle(filter_))
+    return learned, f"{source}, learned by the tuner{instead}"
 
 
 def _warn(text: str) -> None:
