@@ -10,7 +10,6 @@ from insdvl.watch.table.numbers import ERROR, OK, STALE, WARN, Shown
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
-    from rich.containers import Lines
     from rich.text import Text
 
 _STYLES: Mapping[int, str] = MappingProxyType({WARN: "yellow", ERROR: "red", STALE: "red"})
@@ -59,7 +58,7 @@ class Screen:
 
         columns, height = self._console.size
         said = list(told(filters, notes))
-        sentences = [_text(one).wrap(self._console, columns) for one in said]
+        sentences: list[Sequence[Text]] = [_text(one).wrap(self._console, columns) for one in said]
         tables = list(blocks(filters, columns))
         below = []
         if 1 + rows_in(tables) + sum(map(len, sentences)) > height:
@@ -81,7 +80,7 @@ def _text(said: Told) -> "Text":
     return Text(said.text, _STYLES.get(said.level, ""), overflow="fold")
 
 
-def _shortened(lines: "Lines", count: int, columns: int) -> "Sequence[Text]":
+def _shortened(lines: "Sequence[Text]", count: int, columns: int) -> "Sequence[Text]":
     """The first lines of a sentence; where some are left out, the last one ends in an ellipsis."""
     shown = lines[:count]
     if 0 < count < len(lines):
