@@ -58,7 +58,7 @@ class Screen:
 
         columns, height = self._console.size
         said = list(told(filters, notes))
-        sentences: list[Sequence[Text]] = [_text(one).wrap(self._console, columns) for one in said]
+        sentences = [list(_text(one).wrap(self._console, columns)) for one in said]
         tables = list(blocks(filters, columns))
         below = []
         if 1 + rows_in(tables) + sum(map(len, sentences)) > height:
@@ -80,7 +80,7 @@ def _text(said: Told) -> "Text":
     return Text(said.text, _STYLES.get(said.level, ""), overflow="fold")
 
 
-def _shortened(lines: "Sequence[Text]", count: int, columns: int) -> "Sequence[Text]":
+def _shortened(lines: "list[Text]", count: int, columns: int) -> "list[Text]":
     """The first lines of a sentence; where some are left out, the last one ends in an ellipsis."""
     shown = lines[:count]
     if 0 < count < len(lines):
