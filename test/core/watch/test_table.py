@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
+from scipy.stats import binom, chi2
 from shown import POSE, SHOWN
 from terminal import Emulator, Terminal
 
-from insdvl.watch.consistency import nis_interval
+from insdvl.watch.consistency import nis_interval, nis_median_limit
 from insdvl.watch.table.digits import number, printable, with_sigma
 from insdvl.watch.table.layout import LABEL, blocks, line, plain, title, told
 from insdvl.watch.table.numbers import (
@@ -131,6 +131,14 @@ def test_without_a_truth_the_innovations_speak(nis: float | None, said: str) -> 
 def test_the_interval_of_the_nis_is_that_of_chi_square(count: int) -> None:
     expected = chi2.ppf([0.05, 0.95], 3 * count) / count
     assert nis_interval(3, count, 0.9) == pytest.approx(tuple(expected), rel=1e-9)
+
+
+@pytest.mark.parametrize("rows", [1, 3])
+@pytest.mark.parametrize("count", [1, 2, 7, 49])
+def test_the_limit_of_the_median_nis_is_exceeded_by_chance_as_told(rows: int, count: int) -> None:
+    limit = nis_median_limit(rows, count, 1e-3)
+    half = (count + 1) // 2  # of them exceed it where their median does
+    assert binom.sf(half - 1, count, chi2.sf(limit, rows)) == pytest.approx(1e-3, rel=1e-6)
 
 
 def test_the_bar_marks_the_nis_inside_and_outside() -> None:
