@@ -207,6 +207,12 @@ def test_a_small_terminal_is_filled() -> None:
     assert all(screen_of([wrong, SILENT_NOW], 60, 20))
 
 
+def test_an_error_is_seen_beside_more_filters_than_fit() -> None:
+    wrong = replace(SHOWN, findings=(Finding(ERROR, LONG),))
+    lines = screen_of([*[SHOWN] * 12, wrong], 60, 20)
+    assert findings_in(lines) == ["ERROR"]
+
+
 def test_in_a_small_terminal_rows_without_a_value_go_first() -> None:
     lines = [text for text in screen_of([SILENT_NOW], 60, 20) if text]
     assert not any(text.endswith(" -") for text in lines)

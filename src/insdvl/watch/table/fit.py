@@ -8,7 +8,8 @@ from insdvl.watch.table.layout import Block
 
 #: Rows of a block that a navigator needs: the names, and the state down to the speed.
 NAVIGATION = 7
-#: Rows of a block that are never given up for a sentence: the names and the state.
+#: Rows of a block that go for a sentence only where they take half of the room: the names and the
+#: state.
 STATE = 2
 
 
@@ -48,7 +49,7 @@ def fit(
         if sum(lines) + needed <= room:
             break
     for k in reversed(range(len(lines))):
-        if sum(lines) + needed > room:
+        if sum(lines) > max(room - needed, room // 2):
             lines[k] = 0
     left, shown = room - sum(lines), list(blocks)
     # The shortest first: what one does not take is for the others.
