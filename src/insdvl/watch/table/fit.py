@@ -8,8 +8,8 @@ from insdvl.watch.table.layout import Block
 
 #: Rows of a block that a navigator needs: the names, and the state down to the speed.
 NAVIGATION = 7
-#: Rows of a block that go for a sentence only where they take half of the room: the names and the
-#: state.
+#: Rows of a block that stay, unless those of all blocks take more than half of the room: the names
+#: and the state.
 STATE = 2
 
 
