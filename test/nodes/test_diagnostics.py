@@ -575,7 +575,7 @@ def test_a_filter_that_diverges_is_an_error() -> None:
     assert wrong(statuses)["initialisation"] == ERROR
     assert "diverged and gave up its state 1 times" in statuses["initialisation"].message
     assert statuses["initialisation"].values["diverged"] == 1
-    assert "diverged" not in f.look(10.0)["initialisation"].message
+    assert "gave up" not in f.look(10.0)["initialisation"].message
 
 
 def test_late_output_is_told_where_the_clocks_agree() -> None:
@@ -601,9 +601,36 @@ def test_a_time_jump_is_told_with_both_stamps() -> None:
     f.look()
     f.samples(100_001, 100_101)
     statuses = f.look()
-    assert wrong(statuses) == {"time": WARN}
+    assert wrong(statuses) == {"time": WARN, "initialisation": WARN}
     assert "went from 1700000001.000 to 1700001000.010 s" in statuses["time"].message
-    assert wrong(f.look(10.0)) == {}
+    # The heading of the parameters is not that of now, until somebody tells it.
+    statuses = f.look(10.0)
+    assert wrong(statuses) == {"initialisation": WARN}
+    assert (
+        "started again after a time jump with the heading of initial.rpy"
+        in statuses["initialisation"].message
+    )
+    f.received["set_odometry"] += 1
+    assert wrong(f.look()) == {}
+
+
+@pytest.mark.parametrize(
+    ("values", "is_told"),
+    [
+        ({"initial.mode": "auto", "initial.heading": "parameters"}, False),
+        ({"initial.mode": "auto", "initial.heading": "parameters", "heading.topic": "h"}, True),
+    ],
+)
+def test_a_restart_with_the_heading_of_the_parameters_is_told(
+    values: dict[str, Any], is_told: bool
+) -> None:
+    f = Filter(**values)
+    for first in (1, 100_001):
+        f.samples(first, first + 500)
+        f.dvl(START_NS + (first + 500) * NS // 100)
+        f.samples(first + 500, first + 600)
+        text = f.look(20.0)["initialisation"].message
+        assert ("started again after a time jump" in text) == (first > 1 and not is_told)
 
 
 @pytest.mark.parametrize(("first", "reason"), [(-99_999, "too_late"), (100_001, "far_ahead")])

@@ -6,6 +6,7 @@ from insdvl.navigation.events import NS
 from insdvl.navigation.geometry.earth import MAX_LATITUDE_DEG
 from insdvl.navigation.geometry.odom import MAX_FROM_ORIGIN
 from insdvl.navigation.parameters import FilterParameters
+from insdvl.navigation.start import automatic
 from insdvl.navigation.state.fields import State
 from insdvl.timeline.fold import Fold
 from insdvl.watch.start import (
@@ -18,7 +19,9 @@ from insdvl.watch.start import (
 from ros_insdvl.status.diagnostics import ERROR, RECENT, WARN, Status, View
 from ros_insdvl.status.filter.base import Cause, Published
 
-_DIVERGED = "diverged"
+_DIVERGED, _JUMPS = "diverged", "time_jumps"
+#: Modes other than auto that take the yaw of initial.rpy.
+_TOLD_BY_PARAMETERS = ("parameters", "levelling")
 #: Events that are no error, and what each means.
 _EVENTS = {
     "without_origin": "{count} initial states in the last {seconds:.0f} s arrived before the "
@@ -60,6 +63,7 @@ class Initialisation(Cause):
             status.summary = f"initialised, first output at stamp {first_ns / NS:.3f} s"
         if latest is not None:
             self._tell_start(latest, status)
+            self._tell_restart(latest, status, view)
         if count := view.events.recent[_DIVERGED]:
             status.complain(
                 ERROR,
@@ -91,3 +95,20 @@ class Initialisation(Cause):
             status.complain(WARN, "odom", text)
         for text in large_biases(self._fold.filter, latest):
             status.complain(WARN, "bias", text)
+
+    def _tell_restart(self, latest: State, status: Status, view: View) -> None:
+        """A heading of the parameters is that of the first start: the vehicle has turned since."""
+        initial, times = self._parameters.initial, view.events.total
+        is_told = initial.mode in _TOLD_BY_PARAMETERS and not view.received.total[SET_ODOMETRY]
+        if not (is_told or latest["start"]["heading_from"] == automatic.PARAMETERS):
+            return
+        if self._parameters.heading.topic or not times[_JUMPS] + times[_DIVERGED]:
+            return
+        why = "a time jump" if times[_JUMPS] else "the filter diverged"
+        status.complain(
+            WARN,
+            "restarted",
+            f"started again after {why} with the heading of initial.rpy and the position of "
+            "initial.position, which were those of the first start: publish set_odometry with "
+            "heading and position",
+        )
