@@ -333,6 +333,79 @@ def test_a_fix_a_pressure_and_a_compass_are_found(raws: list[Raw]) -> None:
     }
 
 
+# ---------------------------------------------------------------- sensors that stop
+
+
+def lasting(raws: list[Raw], topic: str, begin: float, end: float) -> list[Raw]:
+    """The recording with a topic from one time to another [s] only."""
+    return [
+        raw for raw in raws if raw.topic != topic or begin <= (raw.time_ns - START_NS) / NS <= end
+    ]
+
+
+@pytest.mark.parametrize(
+    ("topic", "begin", "end", "text"),
+    [
+        ("/imu", 0.0, 20.0, "IMU: nothing in the last 5.0 s, from 20.0 of 25.0 s on."),
+        ("/imu", 4.0, 25.0, "IMU: nothing in the first 4.0 of 25.0 s."),
+        ("/dvl", 0.0, 18.5, "DVL: nothing in the last 7.0 s, from 18.0 of 25.0 s on."),
+        ("/dvl", 5.5, 25.0, "DVL: nothing in the first 6.0 of 25.0 s."),
+    ],
+)
+def test_a_sensor_that_starts_late_or_stops_is_told_with_times(
+    topic: str, begin: float, end: float, text: str, raws: list[Raw]
+) -> None:
+    found = said(lasting(raws, topic, begin, end))
+    assert text in [finding.text for finding in found if finding.wrong]
+    assert is_usable(found)
+
+
+@pytest.mark.parametrize(("topic", "use"), [("/imu", "IMU"), ("/dvl", "DVL")])
+def test_a_sensor_that_is_missing_for_most_of_a_recording_makes_it_useless(
+    topic: str, use: str, raws: list[Raw]
+) -> None:
+    """At its end, or within it."""
+    for part in (
+        lasting(raws, topic, 0.0, 8.0),
+        [r for r in raws if r.topic != topic or not 4.5 < (r.time_ns - START_NS) / NS < 20.0],
+    ):
+        found = said(part)
+        assert not is_usable(found)
+        assert f"The {use} is missing for 1" in texts(found, STAMPS)
+
+
+def test_a_depth_sensor_that_stops_is_told(raws: list[Raw]) -> None:
+    pressures = []
+    for k in range(10):
+        pressure = new_message(PRESSURE)
+        pressure.header.stamp.sec, pressure.fluid_pressure = START_NS // NS + k, 2e5
+        pressures.append(encode("/ctd/pressure", START_NS + k * NS, pressure))
+    found = said(sorted([*raws, *pressures], key=lambda raw: raw.time_ns))
+    assert "depth: nothing in the last 16.0 s, from 9.0 of 25.0 s on." in wrong(found)
+    assert is_usable(found)
+
+
+def test_what_a_recorder_or_a_slow_dvl_leaves_at_the_ends_is_no_fault() -> None:
+    """Topics are found one after the other, and a ping every 5 s is not there at every second."""
+    begin_ns, end_ns = 100 * NS, 200 * NS
+    for step, first, last, expected in (
+        (0.01, 100.9, 199.2, (0.0, 0.0)),
+        (0.01, 101.2, 198.0, (1.2, 2.0)),
+        (5.0, 113.0, 188.0, (0.0, 0.0)),
+        (5.0, 116.0, 181.0, (16.0, 19.0)),
+    ):
+        log = StampLog()
+        for t in np.arange(first, last + 1e-6, step):
+            log.add(round(t * NS), round(t * NS))
+        found = log.facts().missing_at_ends(begin_ns, end_ns)
+        np.testing.assert_allclose(found, expected, atol=0.02)
+
+
+def test_an_imu_that_ends_before_the_dvl_begins_is_not_a_matter_of_clocks(raws: list[Raw]) -> None:
+    parts = lasting(lasting(raws, "/imu", 0.0, 10.0), "/dvl", 12.0, 25.0)
+    assert "they were not recorded at the same time" in texts(said(parts), STAMPS)
+
+
 # ---------------------------------------------------------------- start and heading
 
 

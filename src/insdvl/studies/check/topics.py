@@ -10,6 +10,8 @@ from insdvl.recordings.bag_reader import RecordedTopic
 from insdvl.recordings.base import typestore
 from insdvl.recordings.parameters import ReplayParameters
 
+#: What a topic is used as.
+IMU, DVL, DEPTH = "IMU", "DVL", "depth"
 #: What the velocity through water is called by drivers that tell it as well.
 _WATER = "water"
 #: Ends of the names of further topics that filters and operators publish: they are no sensors.
@@ -49,9 +51,9 @@ class Sensors:
     def uses(self) -> dict[str, str]:
         """What each topic is used as."""
         pairs = (
-            (self.imu, "IMU"),
-            (self.dvl, "DVL"),
-            (self.pressure, "depth"),
+            (self.imu, IMU),
+            (self.dvl, DVL),
+            (self.pressure, DEPTH),
             (self.fix, "fix"),
             (self.odometry, "odom"),
         )
