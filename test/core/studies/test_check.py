@@ -418,6 +418,93 @@ def test_a_rest_at_the_start_is_told() -> None:
     assert texts(found, START).startswith("It stays, but vibrates")
 
 
+@pytest.mark.parametrize(("shaking", "shown"), [(0.0, "no motion"), (0.3, "that it vibrates")])
+def test_whether_it_stays_is_not_told_without_a_dvl(shaking: float, shown: str) -> None:
+    """At a constant speed the samples are those at rest, with and without vibration."""
+    still = flown(3.0, STATIC)
+    rng = np.random.default_rng(1)
+    shaken = still.f_b + np.repeat(rng.normal(0.0, shaking, (100, 3)), 3, axis=0)[: len(still.f_b)]
+    raws = [raw for raw in raws_of(replace(still, f_b=shaken)) if raw.topic != "/dvl"]
+    assert texts(said(raws), START).startswith(f"Not told: the samples show {shown}, and no DVL")
+
+
+# ---------------------------------------------------------------- two vehicles, two sensors
+
+
+def on_topics(raws: list[Raw], imus: dict[str, int], dvls: dict[str, int]) -> list[Raw]:
+    """The recording with the messages of each sensor on other topics, one in so many of them."""
+    copies = {"/imu": imus, "/dvl": dvls}
+    counts = dict.fromkeys(copies, 0)
+    moved = []
+    for raw in raws:
+        if raw.topic not in copies:
+            moved.append(raw)
+            continue
+        counts[raw.topic] += 1
+        moved += [
+            raw._replace(topic=name)
+            for name, every in copies[raw.topic].items()
+            if counts[raw.topic] % every == 0
+        ]
+    return moved
+
+
+@pytest.mark.parametrize(
+    ("imus", "dvls", "chosen"),
+    [
+        # Two vehicles: never one sensor of each, whichever has more messages.
+        (
+            {"/port/imu/data_raw": 1, "/stbd/imu/data_raw": 1},
+            {"/port/dvl/velocity": 1, "/stbd/dvl/velocity": 1},
+            ("/stbd/imu/data_raw", "/stbd/dvl/velocity"),
+        ),
+        (
+            {"/port/imu/data_raw": 1, "/stbd/imu/data_raw": 2},
+            {"/port/dvl/velocity": 2, "/stbd/dvl/velocity": 1},
+            ("/port/imu/data_raw", "/port/dvl/velocity"),
+        ),
+        # Of one vehicle alone there is a DVL.
+        (
+            {"/port/xsens": 4, "/stbd/imu/data_raw": 1},
+            {"/port/dvl/velocity": 1},
+            ("/port/xsens", "/port/dvl/velocity"),
+        ),
+        # The namespace of a sensor is none of a vehicle.
+        (
+            {"/imu/data_raw": 1, "/dvl/imu": 4},
+            {"/dvl/twist": 1},
+            ("/imu/data_raw", "/dvl/twist"),
+        ),
+    ],
+)
+def test_imu_and_dvl_are_of_one_vehicle(
+    imus: dict[str, int], dvls: dict[str, int], chosen: tuple[str, str], raws: list[Raw]
+) -> None:
+    seen = inspect(
+        cast(BagReader, Memory(on_topics(raws[:800], imus, dvls))),
+        FilterParameters(),
+        ReplayParameters(imu_topic="/none", dvl_topic="/none"),
+        adapt=True,
+    )
+    assert (seen.sensors.imu, seen.sensors.dvl) == chosen
+    said_of = texts(answers(seen), NEEDED)
+    for use, names, name in (("IMU", imus, chosen[0]), ("DVL", dvls, chosen[1])):
+        others = ", ".join(other for other in names if other != name)
+        text = f"CHECK that {name} is the {use} of this vehicle: {others} could be"
+        assert (text in said_of) == bool(others)
+
+
+def test_the_dvl_of_the_vehicle_whose_imu_is_named_is_taken(raws: list[Raw]) -> None:
+    names = ("/port", "/stbd")
+    topics_of = on_topics(
+        raws[:400], {f"{n}/imu": 1 for n in names}, {f"{n}/dvl": 1 for n in names}
+    )
+    for name in names:
+        replay = ReplayParameters(imu_topic=f"{name}/imu")
+        memory = cast(BagReader, Memory(topics_of))
+        assert inspect(memory, FilterParameters(), replay, adapt=True).sensors.dvl == f"{name}/dvl"
+
+
 @pytest.mark.parametrize(
     ("quaternion", "variance", "text"),
     [

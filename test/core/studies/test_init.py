@@ -28,7 +28,7 @@ from insdvl.simulation.noise import constant
 from insdvl.simulation.sensors.dvl import DvlModel
 from insdvl.simulation.sensors.imu import ImuModel
 from insdvl.simulation.trajectories import AUV, BASELINE
-from insdvl.studies.init.template import CHECK
+from insdvl.studies.check.findings import CHECK
 from insdvl.studies.report.parameter_page import TO_SET
 
 SECONDS = 25.0
@@ -74,6 +74,24 @@ def test_it_is_filled_from_the_recording(written: Path) -> None:
     replay = load_section(written, "insdvl_replay", ReplayParameters)
     assert (replay.imu_topic, replay.dvl_topic) == ("/imu", "/dvl")
     assert replay.ground_truth_topic == "/truth"
+
+
+def test_a_further_imu_or_dvl_is_to_be_looked_at(tmp_path: Path, bag: Path, written: Path) -> None:
+    """Where there is one of each, nothing is to be looked at."""
+    assert re.findall(rf"(?:imu|dvl)_topic: .*{CHECK}", written.read_text()) == []
+    raws = raws_of(flown(3.0))
+    others = {"/imu": "/camera/imu", "/dvl": "/other/dvl"}
+    doubled = [
+        copy
+        for raw in raws
+        for copy in (raw, raw._replace(topic=others.get(raw.topic, "")))
+        if copy.topic
+    ]
+    path = tmp_path / "my.yaml"
+    assert cli.main(["init", str(save(tmp_path / "two", doubled)), "-o", str(path)]) == 0
+    text = path.read_text()
+    assert re.search(rf'imu_topic: "/imu" .*# {CHECK}: or /camera/imu; sensor_msgs', text)
+    assert re.search(rf'dvl_topic: "/dvl" .*# {CHECK}: or /other/dvl; geometry_msgs', text)
 
 
 def test_replay_navigates_with_it(bag: Path, written: Path, tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from insdvl.navigation.geometry.frames import CONVENTIONS
 from insdvl.studies.check.bias import REST
 from insdvl.studies.check.findings import (
     AXES,
+    CHECK,
     FILTER,
     FIT,
     HEADING,
@@ -79,8 +80,16 @@ def _needed(seen: Inspection) -> Iterator[Finding]:
         )
     for remark in seen.remarks:
         yield wrong(NEEDED, f"{remark[0].upper()}{remark[1:]}.")
-    if sensors.rivals:
-        yield Finding(NEEDED, f"Not looked at, of a fitting type: {', '.join(sensors.rivals)}.")
+    for use, chosen, rivals in (
+        ("IMU", sensors.imu, sensors.imu_rivals),
+        ("DVL", sensors.dvl, sensors.dvl_rivals),
+    ):
+        if rivals:
+            yield wrong(
+                NEEDED,
+                f"{CHECK} that {chosen} is the {use} of this vehicle: {', '.join(rivals)} could "
+                "be, and is not looked at. Name it with imu_topic or dvl_topic of insdvl_replay.",
+            )
     if sensors.pressure and not seen.parameters.depth.topic:
         name = sensors.pressure.lstrip("/")
         yield setting(
@@ -126,15 +135,16 @@ def _start(seen: Inspection) -> Iterator[Finding]:
     told = f", the DVL reads {speed:.2f} m/s" if first else ""
     if start.motion > 1.0 or speed > noise:
         text = f"Yes{told}: the filter starts under way, tilt to 3 deg, and needs a DVL velocity."
-    elif start.spread > 1.0:
-        text = f"It stays, but vibrates{told}: biases and heading are not taken from that rest."
-    elif first:
-        text = f"No{told}: levelling and gyroscope biases are taken from the rest."
-    else:
+    elif not first:
+        shown = "that it vibrates" if start.spread > 1.0 else "no motion"
         text = (
-            "Not told: the samples show no motion, and no DVL says whether the vehicle stays or "
+            f"Not told: the samples show {shown}, and no DVL says whether the vehicle stays or "
             "moves steadily."
         )
+    elif start.spread > 1.0:
+        text = f"It stays, but vibrates{told}: biases and heading are not taken from that rest."
+    else:
+        text = f"No{told}: levelling and gyroscope biases are taken from the rest."
     yield Finding(START, text)
 
 

@@ -21,6 +21,8 @@ NEEDED, STAMPS, AXES, START, HEADING, SAMPLES, PINGS, FIT = (
     "Do IMU and DVL fit each other?",
 )
 QUESTIONS = (NEEDED, STAMPS, AXES, START, HEADING, SAMPLES, PINGS, FIT)
+#: Marks what a recording does not tell.
+CHECK = "CHECK"
 #: Share of a recording from which a fault makes it useless.
 MOST = 0.5
 NONE: Mapping[str, Mapping[str, Any]] = MappingProxyType({})
