@@ -1,10 +1,12 @@
 """What is kept of one time of a recording, between two time jumps."""
 
+from array import array
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from insdvl.arrays import Array, Records, Stamps
+from insdvl.messages.refusals import Refused
 from insdvl.navigation.events import NS
 from insdvl.navigation.filter import LAYOUT, Filter
 from insdvl.navigation.state.fields import State
@@ -52,6 +54,8 @@ class Part:
         updates: The measurements, in the order of stamps.
         steps: Stamps at which a counter was raised and by how much, by the name of the counter.
         travelled: By base_link.
+        clock_ns: Stamp of a sample less the time at which it was recorded.
+        refused_ns: When the messages were recorded that are not used, by topic and reason.
     """
 
     filter: Filter
@@ -63,6 +67,21 @@ class Part:
     updates: list[AppliedUpdate] = field(default_factory=list)
     steps: dict[str, tuple[list[int], list[int]]] = field(default_factory=dict)
     travelled: Travelled = field(default_factory=Travelled)
+    clock_ns: int | None = None
+    refused_ns: dict[Refused, "array[int]"] = field(default_factory=dict)
+
+    def refuse(self, key: Refused, time_ns: int) -> None:
+        """Keep the time of recording of a message that is not used."""
+        self.refused_ns.setdefault(key, array("q")).append(time_ns)
+
+    def refused_stamps(self, key: Refused) -> Stamps:
+        """When they came (N,), on the clock of the samples: their own stamps may be nonsense."""
+        return np.array(self.refused_ns[key], np.int64) + (self.clock_ns or 0)
+
+    @property
+    def last_ns(self) -> int:
+        """Stamp of the last state; 0 where there is none."""
+        return int(self.end[0]["nav"]["time_ns"]) if len(self.end) else 0
 
     def take(self, final: Final) -> None:
         """What follows."""
