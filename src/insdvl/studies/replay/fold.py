@@ -194,8 +194,8 @@ class _Folding:
         self._new = refused
         self._imu = next(name for name, row in feed.inputs.topics.items() if row.name == IMU)
         self._suspects: deque[tuple[Event, Refused, int]] = deque(maxlen=MAX_SUSPECTS)
-        # Stamps of the measurements that the fold took, by topic and name.
-        self._measured: dict[tuple[str, str], array[int]] = {}
+        # Of the measurements that the fold took: stamps, times of recording; by topic and name.
+        self._measured: dict[tuple[str, str], tuple[array[int], array[int]]] = {}
         self.messages: Counter[str] = Counter()
         self.parts = [Part(feed.fold.filter)]
         self.checks = [AlignmentCheck(parameters, thinks=False)]  # one for each part
@@ -218,7 +218,7 @@ class _Folding:
                 count = self._feed.give_samples(of_imu, samples, slice(row, row + end - k))
                 self._took_samples(samples, slice(row, row + count))
                 if count:
-                    self._see_clock(fed[k + count - 1])
+                    self._sampled(fed[k], fed[k + count - 1])
                 if not count:
                     self._give(of_imu, fed[k])
                     count = 1
@@ -229,10 +229,8 @@ class _Folding:
         self.messages.update(names[raw.topic] for raw in fed)
         self.take()
 
-    def _see_clock(self, sample: Raw) -> None:
-        """The newest sample was taken."""
-        if self.parts[-1].clock_ns is None:
-            self.parts[-1].clock_ns = self._feed.fold.newest_ns - sample.time_ns
+    def _sampled(self, first: Raw, last: Raw) -> None:
+        self.parts[-1].sampled(self._feed.fold.newest_ns, first.time_ns, last.time_ns)
 
     def _took_samples(self, samples: ImuSamples, part: slice) -> None:
         if part.start == part.stop:
@@ -256,29 +254,33 @@ class _Folding:
                 self.checks[-1].add(event)
                 self.taken.add(event)
                 if isinstance(event, Imu):
-                    self._see_clock(raw)
+                    self._sampled(raw, raw)
 
     def _account(self, name: str, events: Sequence[Fed], time_ns: int) -> None:
         """Keep what became of a message, and withdraw the refusals that it has made void."""
-        part, refused = self.parts[-1], iter(self._new)
-        for key in self._new:
-            part.refuse(key, time_ns)
+        part = self.parts[-1]
+        part.heard(time_ns)
+        refused = iter([(key, part.refuse(key, time_ns)) for key in self._new])
         for event, refusal in events:
             if refusal is not None:
-                self._suspects.append((event, next(refused), time_ns))
+                self._suspects.append((event, *next(refused)))
             else:
-                self._took(name, event)
+                self._took(name, event, time_ns)
         recovered = {id(event) for event in self._feed.recovered}
-        for event, key, refused_ns in self._suspects if recovered else ():
+        for event, key, came_ns in self._suspects if recovered else ():
             if id(event) in recovered:
-                part.refused_ns[key].remove(refused_ns)
-                self._took(key.topic, event)
+                part.refused_ns[key].remove(came_ns)
+                self._took(key.topic, event, time_ns)
 
-    def _took(self, name: str, event: Event) -> None:
+    def _took(self, name: str, event: Event, time_ns: int) -> None:
         if isinstance(event, Measurement):
             # Of the IMU's messages each measurement is counted by its own name, see `Feed`.
             where = event.name if name == self._imu else name
-            self._measured.setdefault((where, event.name), array("q")).append(event.stamp_ns)
+            stamps_ns, times_ns = self._measured.setdefault(
+                (where, event.name), (array("q"), array("q"))
+            )
+            stamps_ns.append(event.stamp_ns)
+            times_ns.append(time_ns)
 
     def account(self) -> None:
         """At the end: what the fold took and never reached has waited for samples in vain."""
@@ -288,12 +290,12 @@ class _Folding:
             for update in part.updates
         )
         last = self.parts[-1]
-        for (topic, measurement), stamps_ns in self._measured.items():
-            for stamp_ns in stamps_ns:
+        for (topic, measurement), arrays in self._measured.items():
+            for stamp_ns, time_ns in zip(*arrays, strict=True):
                 if reached[measurement, stamp_ns]:
                     reached[measurement, stamp_ns] -= 1
                 else:
-                    last.refuse(Refused(topic, NO_SAMPLE), stamp_ns - (last.clock_ns or 0))
+                    last.refuse(Refused(topic, NO_SAMPLE), time_ns)
 
     @property
     def refused(self) -> Counter[Refused]:

@@ -155,6 +155,13 @@ def _numbers(document: dict[str, Any], numbers: dict[str, Any]) -> Iterator[tupl
     if (share := numbers["refused_share"]) is not None:
         by = ", ".join(f"{name} {count}" for name, count in refusals(document).items())
         yield "refused", f"{100.0 * share:.1f} % of the DVL" + (f" ({by})" if by else "")
+    if (outages := numbers["dvl_outages"])["count"]:
+        yield (
+            "outages of the DVL",
+            f"{outages['count']}, together {outages['seconds']:.0f} s, the longest "
+            f"{outages['longest']:.0f} s; {outages['lost_under_way']:.0f} of "
+            f"{outages['under_way']:.0f} s under way",
+        )
     if innovations:
         yield (
             "correlation",
