@@ -57,9 +57,10 @@ def _numbers(document: dict[str, Any], verdict: dict[str, Any]) -> list[tuple[st
         ]
     if verdict["refused_share"] is not None:
         rows.append(("DVL refused", f"{100.0 * verdict['refused_share']:.1f} %", "0.1 %"))
-    if (outages := verdict["dvl_outages"])["count"]:
+    outages = verdict.get("dvl_outages")  # a result of an earlier version has none
+    if outages and outages["count"]:
         lost = f"{outages['seconds']:.0f} s, the longest {outages['longest']:.0f} s"
-        rows.append((f"without the DVL ({outages['count']} times)", lost, ""))
+        rows.append((f"outages of the DVL ({outages['count']})", lost, ""))
     if noise := verdict["dvl_noise"]:
         rows.append(
             (
