@@ -16,7 +16,13 @@ from insdvl.recordings.messages import twist_message
 from insdvl.simulation.grades import GRADES
 from insdvl.simulation.trajectories import STATIC
 from insdvl.studies.judgement.incidents import Incident, incidents_of
-from insdvl.studies.judgement.outages import Outage, Outages, of_outages, outages_of
+from insdvl.studies.judgement.outages import (
+    Outage,
+    Outages,
+    of_dvl_outages,
+    of_imu_outages,
+    outages_of,
+)
 from insdvl.studies.judgement.verdict import Verdict, verdict
 from insdvl.studies.replay.fold import Replayed, fold_recording
 from insdvl.studies.replay.scores import report
@@ -124,7 +130,7 @@ def test_a_vehicle_at_rest_needs_no_dvl() -> None:
     found = outages_of(replayed)
     assert len(found.dvl) == 1
     assert (found.under_way, found.lost) == (0.0, 0.0)
-    assert list(of_outages(found)) == []
+    assert list(of_dvl_outages(found)) == []
 
 
 @pytest.mark.parametrize(
@@ -155,12 +161,21 @@ def test_an_imu_that_starts_late_or_stops_is_told(
         assert found == []
     else:
         np.testing.assert_allclose(times(found), [expected], atol=1.1)
-    findings = list(of_outages(outages_of(replayed)))
-    assert ("imu_outage" in [finding.name for finding in findings]) == named
+    findings = list(of_imu_outages(outages_of(replayed)))
+    assert ["imu_outage"] * named == [finding.name for finding in findings]
     assert all("look for why its driver stopped" in finding.remedy for finding in findings)
 
 
 def test_the_imu_is_missed_for_a_minute_of_a_long_recording() -> None:
     for seconds, count in ((59.0, 0), (60.0, 1)):
         found = Outages(imu=[Outage(900.0, 900.0 + seconds)], begin=0.0, recorded=1000.0)
-        assert len(list(of_outages(found))) == count
+        assert len(list(of_imu_outages(found))) == count
+
+
+def test_an_imu_that_ends_is_the_cause_of_what_is_refused_behind_its_end(raws: list[Raw]) -> None:
+    """Most pings are far ahead of the last sample, which is told after the IMU."""
+    stopped = without(raws, IMU, lambda t: t > 35.0)
+    replayed, told = folded(stopped, **{"jump_limit": 10.0, "imu.rate": 1000.0})
+    found = verdict(replayed, told, report(replayed))
+    assert [finding.name for finding in found.findings[:2]] == ["imu_outage", "refused"]
+    assert found.judgement.startswith("NOT RIGHT: the IMU is missing for 85 of 120 s")

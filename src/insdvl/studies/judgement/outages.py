@@ -129,8 +129,8 @@ def _without_dvl(
             yield Outage(begin_ns / NS, end_ns / NS)
 
 
-def of_outages(outages: Outages) -> Iterator[Finding]:
-    """What is lost for too long to trust the result."""
+def of_imu_outages(outages: Outages) -> Iterator[Finding]:
+    """An IMU that is missing for too long: measurements after its end are refused for that."""
     silent = sum(outage.seconds for outage in outages.imu)
     if silent >= min(LOST, MOST * outages.recorded) and silent > 0.0:
         yield Finding(
@@ -139,6 +139,10 @@ def of_outages(outages: Outages) -> Iterator[Finding]:
             f"({_times(outages.imu, outages.begin)}), and there is no result without it",
             "look for why its driver stopped",
         )
+
+
+def of_dvl_outages(outages: Outages) -> Iterator[Finding]:
+    """A DVL that is lost for too long to trust the position."""
     if outages.lost > MOST * outages.under_way:
         yield Finding(
             "dvl_outage",

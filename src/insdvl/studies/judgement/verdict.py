@@ -38,7 +38,7 @@ from insdvl.studies.judgement.numbers import (
     refusals,
     refused_share,
 )
-from insdvl.studies.judgement.outages import Outage, of_outages, outages_of
+from insdvl.studies.judgement.outages import Outage, of_dvl_outages, of_imu_outages, outages_of
 from insdvl.studies.judgement.pose import against_reference, of_pose, of_velocity
 from insdvl.studies.judgement.withheld import WINDOWS, Withheld, predictions
 from insdvl.studies.replay.fold import Replayed
@@ -105,7 +105,8 @@ def verdict(replayed: Replayed, parameters: FilterParameters, document: dict[str
     # Without most of the DVL neither heading nor position can be found: then that is the cause.
     is_cause = 2 * by_name(document).total() > judged_count(document)
     outages = outages_of(replayed)
-    findings = [*_of_axes(replayed), *diverged, *(claims if is_cause else []), *of_outages(outages)]
+    findings = [*_of_axes(replayed), *diverged, *of_imu_outages(outages)]
+    findings += [*(claims if is_cause else []), *of_dvl_outages(outages)]
     if is_meaningful:
         findings += of_pose(reference, document, parameters)
     findings += [*start, *([] if is_cause else claims)]
