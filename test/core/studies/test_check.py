@@ -428,6 +428,21 @@ def test_whether_it_stays_is_not_told_without_a_dvl(shaking: float, shown: str) 
     assert texts(said(raws), START).startswith(f"Not told: the samples show {shown}, and no DVL")
 
 
+# ---------------------------------------------------------------- scatter of the DVL
+
+
+@pytest.mark.parametrize("share", [0.0, 0.05])
+def test_the_scatter_is_that_of_normal_noise_with_and_without_outliers(share: float) -> None:
+    rng = np.random.default_rng(8)
+    log = DvlLog(10.0, np.eye(3))
+    for k in range(6000):
+        off = rng.choice([-3.0, 3.0], 3) * (rng.random() < share)
+        log.add(Dvl((k + 1) * NS, 1.0 + 0.1 * rng.standard_normal(3) + off))
+    scatter = log.facts().scatter
+    assert scatter is not None
+    np.testing.assert_allclose(scatter, 0.1, rtol=0.1)
+
+
 # ---------------------------------------------------------------- two vehicles, two sensors
 
 
