@@ -67,6 +67,9 @@ class Monitor(InsdvlNode[MonitorParameters]):
         notes: Lines that stand below the table.
     """
 
+    #: None where nothing is drawn, and for a node that ends because a parameter was refused.
+    _screen: Screen | None = None
+
     def __init__(self, **options: Any) -> None:
         super().__init__("insdvl_monitor", MonitorParameters, **options)
         keep = self.parameters.keep
@@ -84,7 +87,7 @@ class Monitor(InsdvlNode[MonitorParameters]):
                 heard=self.heard,
             )
             self.filters.append(watched)
-            self._listen(Odometry, f"{prefix}{ODOMETRY}", watched.series.add)
+            self._listen(Odometry, f"{prefix}{ODOMETRY}", watched.add_odometry)
             self._listen(Imu, f"{prefix}imu/bias", watched.biases.add)
         self.learned_q: deque[Noise] = deque(maxlen=keep)
         self.true_q: deque[Noise] = deque(maxlen=keep)
@@ -93,7 +96,8 @@ class Monitor(InsdvlNode[MonitorParameters]):
         self._listen(DiagnosticArray, "/diagnostics", self._hear, publisher_qos())
         self.notes: tuple[str, ...] = ()
         console = console_of(sys.stdout)
-        self._screen = None if console is None else Screen(console)
+        if console is not None:
+            self._screen = Screen(console)
         self._last_line = ""
         clock = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(LOOK, self._look, clock=clock)

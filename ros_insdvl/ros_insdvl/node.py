@@ -237,7 +237,9 @@ class InsdvlNode(Node, Generic[_Group]):
         """Report the statuses once a second of the steady clock, from now on."""
         self._connections = Connections(self, self.single_inputs)
         self._view = View(time.monotonic())
-        self._reporter = Reporter(self, self.statuses)
+        self._reporter = Reporter(
+            self, self.statuses, lambda: [self._unexpected.status(self._view)]
+        )
 
     def counts(self) -> Counter[str]:
         """What the node has counted beside its messages since the start; nodes extend it."""

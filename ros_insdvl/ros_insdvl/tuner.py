@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import Any
 
 from geometry_msgs.msg import TwistWithCovarianceStamped
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import Imu
 from std_srvs.srv import SetBool
 
@@ -136,11 +137,17 @@ class TunerNode(InsdvlNode[TunerParameters]):
         self._process_noise.send(learned)
 
     def _enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        self._tuner.enabled = request.data
-        response.success = True
-        response.message = "enabled" if request.data else "disabled"
-        self.get_logger().info(response.message)
+        """Set the parameter, so that service and parameter say the same."""
+        result = self.set_parameters_atomically([Parameter("enabled", value=request.data)])
+        response.success = result.successful
+        response.message = result.reason or ("enabled" if request.data else "disabled")
         return response
+
+    def settings_changed(self, before: TunerParameters) -> None:
+        """Publish what is learned, or no longer."""
+        super().settings_changed(before)
+        self._tuner.enabled = self.parameters.enabled
+        self.get_logger().info("enabled" if self.parameters.enabled else "disabled")
 
     # Diagnostics
 

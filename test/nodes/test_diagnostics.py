@@ -24,7 +24,7 @@ from ros_insdvl.status.diagnostics import ERROR, OK, WARN, Status, Tally, View
 from ros_insdvl.status.filter.measurement import MeasurementCause
 from ros_insdvl.status.filter.output import Output
 from ros_insdvl.status.filter.watch import FilterWatch
-from ros_insdvl.status.reasons import OF_FRAMES, OF_TIME, REMEDIES
+from ros_insdvl.status.reasons import OF_FRAMES, OF_TIME, REMEDIES, remedy_of
 
 START_NS = 1_700_000_000 * NS
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "diagnostics.md"
@@ -57,8 +57,11 @@ class Filter:
             stamp = START_NS + k * step_ns
             noise = np.full(3, k % 2 * self.noise)
             sample = Imu(stamp, np.array([0.0, 0.0, -9.8]) + noise, noise)
-            if self.fold.add(sample) is None:
+            reason = self.fold.add(sample)
+            if reason is None:
                 self.watch.took(sample)
+            else:
+                self.rejected[Refused("imu/data_raw", reason)] += 1
         for output in self.fold.take():
             if isinstance(output, TimeJump):
                 self.watch.reset()
@@ -207,6 +210,26 @@ def test_message_and_level_of_the_nis_are_of_its_median() -> None:
     assert "the median NIS of 100 measurements is 6.0, 2.37 is expected" in status.message
 
 
+@pytest.mark.parametrize(
+    ("count", "nis", "said"),
+    [
+        (4, 3.0, "median NIS 3.00 (2.37 is expected)"),
+        (4, 8.44, "4 measurements, too few to judge their NIS"),
+        (30, 4.6, "median NIS 4.60 (2.37 is expected)"),
+        (20, 8.44, "the median NIS of 20 measurements is 8.4, 2.37 is expected"),
+    ],
+)
+def test_a_nis_that_is_too_large_is_never_called_ok(count: int, nis: float, said: str) -> None:
+    """Of few measurements it is told where it is beyond chance, else it is not judged."""
+    f = Filter()
+    f.samples(1, 101)
+    causes = (cause for cause in f.watch._causes if isinstance(cause, MeasurementCause))
+    next(cause for cause in causes if cause._name == "dvl")._nis.extend([nis] * count)
+    status = f.look()["dvl"]
+    assert said in status.message
+    assert status.level == (WARN if "the median" in said else OK)
+
+
 REFUSALS = [
     ("imu/data_raw", "not_finite", "imu"),
     ("imu/data_raw", "no_data", "imu"),
@@ -245,7 +268,7 @@ def test_a_refused_message_is_told_once_with_what_to_do(
     statuses = f.look()
     assert wrong(statuses) == {cause: WARN}
     assert f"refused on {topic} in the last 10 s: 3 {reason}" in statuses[cause].message
-    assert REMEDIES[reason] in statuses[cause].message
+    assert str(remedy_of(topic, reason)) in statuses[cause].message
     f.samples(21, 22)
     statuses = f.look(10.0)
     assert wrong(statuses) == {}
@@ -366,6 +389,34 @@ def test_a_dvl_outage_is_told_with_its_length_and_sigma_and_ends() -> None:
     f.dvl(at(699))
     f.samples(700, 701, NS // 10)
     assert wrong(f.look(10.0)) == {}  # the rejection had made the velocity uncertain
+
+
+def test_an_outage_of_a_silent_dvl_is_told_as_silence_and_not_as_refusals() -> None:
+    f = Filter(**{"imu.rate": 10.0, "imu.max_gap": 0.2, "imu.frozen_samples": 0})
+
+    def ping(k: int, silence: float = 0.0) -> None:
+        f.received["dvl/velocity"] += 1
+        f.silence["dvl/velocity"] = silence
+        f.dvl(START_NS + k * NS // 10)
+
+    for k in range(10, 60, 10):  # all are used
+        ping(k)
+    f.samples(1, 52, NS // 10)
+    assert wrong(f.look()) == {}
+    f.silence["dvl/velocity"] = 5.4
+    f.samples(52, 106, NS // 10)
+    message = f.look()["dvl"].message
+    assert "used for 6 s: none came for 5 s, check the DVL's driver, its topic and" in message
+    assert "refused" not in message
+    for _ in range(2):  # it comes again, and is refused before the filter
+        f.received["dvl/velocity"] += 1
+        f.rejected[Refused("dvl/velocity", "no_bottom")] += 1
+    f.silence["dvl/velocity"] = 0.5
+    f.samples(106, 130, NS // 10)
+    message = f.look()["dvl"].message
+    assert "2 came since the last one that was used, see which were refused" in message
+    f.silence["dvl/velocity"] = 20.0
+    assert "none came for 20 s" in f.look(20.0)["dvl"].message
 
 
 def test_nothing_is_an_error_before_a_driver_can_be_up() -> None:
@@ -555,6 +606,35 @@ def test_a_time_jump_is_told_with_both_stamps() -> None:
     assert wrong(f.look(10.0)) == {}
 
 
+@pytest.mark.parametrize(("first", "reason"), [(-99_999, "too_late"), (100_001, "far_ahead")])
+def test_what_a_jump_has_recovered_is_not_told_as_refused(first: int, reason: str) -> None:
+    """Nine samples are refused until the tenth says that they are of another time."""
+    f = Filter()
+    f.samples(1, 101)
+    f.look()
+    f.samples(first, first + 9)
+    status = f.look()["time"]
+    assert f"refused on imu/data_raw in the last 10 s: 9 {reason}" in status.message
+    assert "check the IMU's clock" in status.message
+    assert "shorten the delay" not in status.message
+    f.samples(first + 9, first + 100)
+    status = f.look()["time"]
+    assert "refused on" not in status.message
+    assert status.message.endswith("; 9 messages that were refused at first are used")
+    assert status.values[f"rejected imu/data_raw: {reason}"] == status.values["recovered"] == 9
+    f.rejected[Refused("dvl/velocity", "too_late")] += 1  # used by nobody
+    assert "1 too_late (they arrive more than max_delay after" in f.look()["time"].message
+
+
+def test_a_sample_behind_a_gap_is_not_told_as_refused() -> None:
+    f = Filter()
+    f.samples(1, 101)
+    f.samples(401, 501)
+    assert f.rejected.total() == f.fold.counts["recovered"] == 1
+    statuses = f.look()
+    assert wrong(statuses) == {"imu": WARN} and "1 gaps" in statuses["imu"].message
+
+
 def test_a_jump_that_is_held_is_an_error_until_the_old_time_comes_again() -> None:
     f = Filter(jump_action="hold")
     f.samples(1, 101)
@@ -564,7 +644,8 @@ def test_a_jump_that_is_held_is_an_error_until_the_old_time_comes_again() -> Non
     assert wrong(statuses) == {"time": ERROR}
     assert "call ~/reset" in statuses["time"].message
     f.samples(101, 102)
-    assert wrong(f.look()) == {}
+    assert wrong(f.look()) == {"time": WARN}  # what came meanwhile was refused for good
+    assert wrong(f.look(10.0)) == {}
 
 
 def test_a_changing_frame_is_told() -> None:

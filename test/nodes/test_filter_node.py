@@ -437,7 +437,9 @@ COMPILED = """
 import sys
 import numpy as np
 from insdvl.navigation.events import NS, Imu, Initial, ProcessNoise
+from insdvl.navigation.measurements.depth import Depth
 from insdvl.navigation.measurements.dvl import Dvl
+from insdvl.navigation.measurements.heading import Heading
 from insdvl.timeline.fold import Fold
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build
@@ -469,6 +471,11 @@ def late_compilations(values):
             events.append(ProcessNoise(stamp_ns, np.eye(3), np.eye(3)))
             v_d = np.array([0.5 * (1000 < k < 1200), 0.0, 0.01 * noise[0]])
             events.append(Dvl(stamp_ns, v_d, np.eye(3) * 0.01 if k % 20 else None))
+            if "depth.topic" in values:
+                down = 5.0 + 0.01 * noise[1] + (k == 2000)
+                events.append(Depth(stamp_ns + 1_000_000, down, 1e-4 if k % 20 else None))
+            if "heading.topic" in values and k > 600:
+                events.append(Heading(stamp_ns + 2_000_000, np.eye(3)))
     for event in sorted(events, key=lambda e: (e.stamp_ns, e.kind)):
         assert fold.add(event) is None
         check.add(event)
@@ -484,6 +491,8 @@ for values in (
     {"dvl.bias_model": "gauss_markov"},
     {"initial.heading": "unknown"},
     {"process_noise.adaptive_factor": True},
+    {"depth.topic": "depth", "heading.topic": "heading"},
+    {"depth.topic": "depth", "error_state": "ned"},
 ):
     print(values, late_compilations(values))
 """
@@ -495,7 +504,7 @@ def test_nothing_is_compiled_while_it_navigates() -> None:
         [sys.executable, "-c", COMPILED], capture_output=True, text=True, check=False
     )
     assert child.returncode == 0, child.stderr
-    assert [line.split()[-1] for line in child.stdout.splitlines()] == ["[]"] * 4
+    assert [line.split()[-1] for line in child.stdout.splitlines()] == ["[]"] * 6, child.stdout
 
 
 def test_late_set_odometry_moves_the_filter(graph: Any) -> None:

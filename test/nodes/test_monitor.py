@@ -2,6 +2,7 @@
 
 import signal
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from nav_msgs.msg import Odometry
 from rclpy.serialization import serialize_message
 from ros_messages import dvl_message, imu_message
 from sensor_msgs.msg import Imu
+from starts import starts
 from terminal import Emulator, Terminal
 
 from insdvl.messages.convert import TWIST, RejectedMessage
@@ -124,6 +126,22 @@ def test_biases_are_in_the_axes_of_the_state(graph: MonitorGraph) -> None:
     message.linear_acceleration_covariance = flat_covariance(np.diag([1e-6] * 3), 3)
     graph.send("/a/imu/bias", [message])
     assert rows(graph.monitor)["bias f [mm/s^2]"] == ["1.0 -2.0 -3.0 ± 1.0", "-"]
+
+
+def test_it_tells_how_long_there_was_no_odometry(
+    graph: MonitorGraph, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert graph.monitor.shown()[0].still is None
+    graph.send("/a/odometry/filtered", [odometry(NS, (0.0, 0.0, 0.0))])
+    now = time.monotonic()
+    monkeypatch.setattr("ros_insdvl.monitoring.watched.time.monotonic", lambda: now + 30.0)
+    assert graph.monitor.shown()[0].still == pytest.approx(30.0, abs=5.0)
+
+
+def test_a_wrong_parameter_ends_it_with_one_line() -> None:
+    (wrong,) = starts("ros_insdvl.monitor", [["-p", "window:=-1.0"]])
+    assert wrong.code == 2
+    assert wrong.err.splitlines() == ["parameter 'window' must be >= 1 and <= 600, got -1.0"]
 
 
 def test_window_leaves_out_what_is_old(graph: MonitorGraph) -> None:

@@ -150,8 +150,9 @@ def test_a_change_is_in_force_from_the_newest_stamp_on(
 @pytest.mark.parametrize(
     ("name", "value", "expected"),
     [
-        ("gate.probability", 0.2, ("gate.probability", "> 0.5 and <= 1", "got 0.2")),
-        ("gate.probability", 2.0, ("gate.probability", "> 0.5 and <= 1", "got 2.0")),
+        ("gate.probability", 0.2, ("gate.probability", "> 0.5 and <= 0.999999999999", "got 0.2")),
+        ("gate.probability", 1.0, ("gate.probability", "<= 0.999999999999", "got 1.0")),
+        ("gate.probability", 2.0, ("gate.probability", "> 0.5 and <= 0.999999999999", "got 2.0")),
         ("gate.enabled", "yes", ("gate.enabled", "a bool", "got 'yes'")),
         ("dvl.noise_std", -0.1, ("dvl.noise_std", "3 values", "got [-0.1, -0.1, -0.1]")),
         ("dvl.noise_std", [0.1, 0.2], ("dvl.noise_std", "3 values", "got [0.1, 0.2]")),

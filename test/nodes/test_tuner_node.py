@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from graphs import LATCHED, RELIABLE, Graph, reliable
+from rclpy.parameter import Parameter
 from ros_messages import STEP_NS, stamp_of
 from sensor_msgs.msg import Imu
 from starts import starts
@@ -127,6 +128,16 @@ def test_the_service_stops_and_resumes_publishing(graph):
     assert response.success and response.message == "enabled"
     graph.send(sent[600:])
     graph.wait_for_stamps([*boundaries(3, 4), *boundaries(7, 8)])
+
+
+def test_service_and_parameter_say_the_same(graph):
+    tuner = graph.tuner
+    assert graph.enable(False).message == "disabled"
+    assert tuner.get_parameter("enabled").value is tuner.parameters.enabled is False
+    (result,) = tuner.set_parameters([Parameter("enabled", value=True)])
+    assert result.successful and tuner._tuner.enabled
+    assert tuner.get_parameter("enabled").value is True
+    assert tuner.statuses()[1].values["enabled"] is True
 
 
 def test_starts_disabled_where_the_parameter_says_so(managed):

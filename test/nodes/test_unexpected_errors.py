@@ -20,6 +20,7 @@ from insdvl.tuner.parameters import TunerParameters
 from ros_insdvl.node import InsdvlNode
 from ros_insdvl.process.arguments import Help
 from ros_insdvl.process.execution import run_node
+from ros_insdvl.status.diagnostics import Status, View
 from ros_insdvl.status.heard import ERROR, OK, HeardStatus
 from ros_insdvl.status.unexpected import UNEXPECTED
 
@@ -29,18 +30,24 @@ QOS = QoSProfile(depth=100)
 
 
 class Raising(InsdvlNode[TunerParameters]):
-    """Echoes a message, or raises what nobody expects."""
+    """Echoes a message, or raises what nobody expects, there or in its statuses."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("raising", TunerParameters, **options)
-        self._echo = self.advertise(Imu, "echo")
+        self._echo, self._is_ill = self.advertise(Imu, "echo"), False
         self.listen(Imu, "in", self._take, QOS)
         self.start_diagnostics()
 
     def _take(self, message: Imu) -> None:
         if message.header.frame_id == "bad":
             raise ZeroDivisionError("of no use")
+        self._is_ill = message.header.frame_id == "ill"
         self._echo.send(message)
+
+    def causes(self, view: View) -> list[Status]:
+        if self._is_ill:
+            raise ArithmeticError("of a status")
+        return []
 
 
 class Peer(Graph):
@@ -103,6 +110,13 @@ def test_the_node_goes_on_counts_logs_and_tells(peer: Peer, tmp_path: Path) -> N
         request.parameters[0].value.type = 77
         client.call_async(request)
         until(lambda: "4 unexpected errors" in peer.errors.message)
+        # Where the statuses themselves fail, that is told.
+        peer.send("ill")
+        until(
+            lambda: any(
+                key.startswith("Arithmetic") for key in peer.diagnostics.report(NODE).values
+            )
+        )
         process.send_signal(signal.SIGTERM)
         assert process.wait(DEADLINE) == 0
     finally:

@@ -52,6 +52,16 @@ class Watched:
     series: OdometrySeries
     heard: HeardDiagnostics
     biases: Last = field(default_factory=lambda: Last(Imu))
+    _odometry_at: float | None = None  # when the last odometry came, on the monotonic clock [s]
+
+    def add_odometry(self, data: bytes) -> None:
+        """Take a message of its odometry.
+
+        Raises:
+            RejectedMessage: It cannot be read.
+        """
+        self.series.add(data)
+        self._odometry_at = time.monotonic()
 
     @property
     def report(self) -> Report:
@@ -71,7 +81,7 @@ class Watched:
             error: Against the truth.
             true_noise: Of the IMU, where a simulator tells it.
         """
-        report = self.report
+        report, now = self.report, time.monotonic()
         values = report.values
         convention = CONVENTIONS.get(values.get(CONVENTION, ""), CONVENTIONS["enu"])
         nis, nis_count = self._nis(values)
@@ -79,7 +89,8 @@ class Watched:
         return Shown(
             label=self.label,
             node=self.node,
-            silent=time.monotonic() - report.at if report.count else None,
+            silent=now - report.at if report.count else None,
+            still=None if self._odometry_at is None else now - self._odometry_at,
             pose=self._pose(convention),
             measured=tuple(_measured(report)),
             nis=nis,

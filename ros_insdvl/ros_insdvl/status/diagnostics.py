@@ -15,7 +15,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from insdvl.arrays import Array
 from insdvl.messages.refusals import Refused
-from ros_insdvl.status.reasons import OF_FRAMES, OF_TIME, REMEDIES
+from ros_insdvl.status.reasons import OF_FRAMES, OF_TIME, remedy_of
 
 OK = DiagnosticStatus.OK
 WARN = DiagnosticStatus.WARN
@@ -228,7 +228,7 @@ class View:
                     continue
                 status.values[f"rejected {refused}"] = count
                 if recent := self.rejected.recent[refused]:
-                    remedy = REMEDIES.get(refused.reason)
+                    remedy = remedy_of(topic, refused.reason)
                     told.append(f"{recent} {refused.reason}" + (f" ({remedy})" if remedy else ""))
             if told:
                 status.complain(

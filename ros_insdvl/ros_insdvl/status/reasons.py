@@ -3,10 +3,13 @@
 from collections.abc import Mapping
 from types import MappingProxyType
 
+from insdvl.messages.topics import IMU
 from insdvl.navigation.parameters import SENSORS
 
 #: Reasons that concern the stamp and not the content of a message.
 OF_TIME = ("no_stamp", "bad_stamp", "too_late", "far_ahead")
+#: Those of them for which a message is kept a while: at a time jump or behind a gap it is used.
+KEPT = ("too_late", "far_ahead")
 #: Reasons that concern the frame of a message.
 OF_FRAMES = ("wrong_frame",)
 
@@ -34,3 +37,19 @@ REMEDIES: Mapping[str, str] = MappingProxyType(
         },
     }
 )
+
+#: The same of the IMU, whose own stamps are the time that the filter knows.
+REMEDIES_OF_IMU: Mapping[str, str] = MappingProxyType(
+    {
+        "too_late": "their stamps are behind the newest one by more than max_delay: check the "
+        "IMU's clock and that only one sender publishes there; raise max_delay only where the "
+        "network delays them as long",
+        "far_ahead": "their stamps are far ahead of the one before: check the IMU's clock",
+    }
+)
+
+
+def remedy_of(topic: str, reason: str) -> str | None:
+    """What to do about messages of a topic that were refused for a reason."""
+    of_imu = REMEDIES_OF_IMU.get(reason) if topic == IMU else None
+    return of_imu or REMEDIES.get(reason)

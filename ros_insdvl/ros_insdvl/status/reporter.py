@@ -18,18 +18,32 @@ class Reporter:
     Args:
         node: The node.
         statuses: Gives its statuses as of now.
+        last_resort: Gives those that are published where that fails: the node is not silent then.
     """
 
-    def __init__(self, node: Node, statuses: Callable[[], list[Status]]) -> None:
+    def __init__(
+        self,
+        node: Node,
+        statuses: Callable[[], list[Status]],
+        last_resort: Callable[[], list[Status]],
+    ) -> None:
         self._node = node
         self._statuses = statuses
+        self._last_resort = last_resort
         self._logged: dict[str, dict[str, bytes]] = {}  # level of each complaint, by cause
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", publisher_qos())
         node.create_timer(PERIOD, self._report, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _report(self) -> None:
-        statuses = self._statuses()
+        try:
+            statuses = self._statuses()
+        except Exception:
+            self._publish(self._last_resort())
+            raise
         self._log_changes(statuses)
+        self._publish(statuses)
+
+    def _publish(self, statuses: list[Status]) -> None:
         name = self._node.get_fully_qualified_name()
         message = DiagnosticArray(status=[status.of_node(name) for status in statuses])
         message.header.stamp = self._node.get_clock().now().to_msg()

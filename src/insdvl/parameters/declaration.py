@@ -121,11 +121,11 @@ class Declaration:
             return "one of " + ", ".join(self.choices)
         bounds = []
         if self.above is not None:
-            bounds.append(f"> {self.above:g}")
+            bounds.append(f"> {_limit(self.above, 1)}")
         if self.low is not None:
-            bounds.append(f">= {self.low:g}")
+            bounds.append(f">= {_limit(self.low, 1)}")
         if self.high is not None:
-            bounds.append(f"<= {self.high:g}")
+            bounds.append(f"<= {_limit(self.high, -1)}")
         text = " and ".join(bounds)
         if self.length is not None:
             text = f"{self.length} values" + (f", each {text}" if text else "")
@@ -204,6 +204,17 @@ class Declaration:
         return ParameterError(
             f"parameter '{self.name}' must be {self.range_text or 'finite'}, got {shown(value)}"
         )
+
+
+def _limit(value: float, side: int) -> str:
+    """A limit in as few digits, at least 6, as do not tell a value that is refused.
+
+    Args:
+        value: The limit.
+        side: To which side of it a value is allowed, 1 or -1.
+    """
+    texts = (f"{value:.{digits}g}" for digits in range(6, 18))  # 17 digits tell any float
+    return next(text for text in texts if side * (float(text) - value) >= 0.0)
 
 
 def check_all(*checks: Callable[[], None]) -> None:

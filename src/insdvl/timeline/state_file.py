@@ -24,7 +24,7 @@ from insdvl.navigation.state.fields import COVARIANCE, NEVER, NUMBER, STAMP, Fie
 from insdvl.navigation.state.layout import part
 from insdvl.parameters.declaration import changed, flatten
 
-FORMAT = "insdvl state 10"
+FORMAT = "insdvl state 11"
 #: The line of JSON is no longer than this [bytes].
 MAX_HEADER = 65_536
 

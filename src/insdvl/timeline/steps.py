@@ -4,6 +4,8 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from insdvl.arrays import Records
 from insdvl.navigation.events import (
     Imu,
@@ -147,7 +149,11 @@ class Steps:
         turn_ns, constants = self._filter.turn_window_ns(event), self._filter.constants
         turn = samples.turn_rate(state, constants, k, stamp_ns, turn_ns)
         before = partial(samples.window, state, k, stamp_ns, self._rest_ns)
-        entry.report = self._filter.update(state, event, *turn, before)
+        try:
+            entry.report = self._filter.update(state, event, *turn, before)
+        except np.linalg.LinAlgError:
+            # Every matrix of a sound state has an inverse: each event from here on would fail.
+            self._filter.give_up(state)
 
     def _apply_initial(self, state: Records, event: Initial, e: int, k: int) -> None:
         stamp_ns = int(self._samples.stamps_ns[k])

@@ -50,7 +50,11 @@ class TunedDvl:
 class TunerParameters:
     """Parameters of the tuner, for the node and for `insdvl replay`."""
 
-    enabled: bool = parameter(True, "Publish process_noise; ~/enable changes it at run time.")
+    enabled: bool = parameter(
+        True,
+        "Publish process_noise, and with measurement_noise that; the service ~/enable sets it too.",
+        changeable=True,
+    )
     model: str = parameter("default", "Name of a shipped model, or path of a model file.")
     estimator: str = parameter(
         "",

@@ -55,6 +55,28 @@ def test_what_is_given_replaces_the_default_and_nothing_else() -> None:
     assert build(Group, {"inner.gain": 1.0}) == Group(inner=Inner(gain=1.0))
 
 
+@pytest.mark.parametrize(
+    ("limit", "text"),
+    [
+        (1.0 - 1e-12, ">= 1 and <= 0.999999999999"),
+        (0.5 + 1e-9, ">= 0.500000001 and <= 0.5"),
+        (2.0 * math.pi, ">= 6.28319 and <= 6.283185"),
+        (1e-13, ">= 1e-13 and <= 1e-13"),
+        (1e6, ">= 1e+06 and <= 1e+06"),
+    ],
+)
+def test_a_limit_is_not_rounded_to_a_value_that_is_refused(limit: float, text: str) -> None:
+    @dataclass(frozen=True)
+    class Limited:
+        at_least: float = parameter(limit, "A number.", low=limit)
+        at_most: float = parameter(limit, "A number.", high=limit)
+
+    least, most = declarations(Limited)
+    assert f"{least.range_text} and {most.range_text}" == text
+    for declaration in (least, most):
+        declaration.check(float(declaration.range_text.split()[-1]))
+
+
 def test_integers_serve_as_floats_and_one_value_for_all() -> None:
     group = build(Group, {"inner.gain": 1, "inner.triple": [1, 2, 3], "inner.same": 2})
     assert group == Group(inner=Inner(1.0, (1.0, 2.0, 3.0), (2.0, 2.0)))

@@ -417,43 +417,90 @@ def test_what_is_no_result_is_refused_in_one_sentence(
     assert expected in said
 
 
+def opened(profile: Path, address: str, *further: str) -> str:
+    """What a browser prints that opens a page, offline."""
+    options = [
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--host-resolver-rules=MAP * ~NOTFOUND",
+        f"--user-data-dir={profile}",
+        "--window-size=1300,2400",
+        "--virtual-time-budget=60000",
+    ]
+    done = subprocess.run(
+        [str(BROWSER), *options, *further, address], capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine: the page is not opened")
 def test_the_page_opens_in_a_browser_and_draws_all_figures(
     out: Path, text: str, tmp_path: Path
 ) -> None:
     pillow = pytest.importorskip("PIL.Image")
-    options = [
-        "--headless",
-        "--no-sandbox",
-        "--disable-gpu",
-        "--host-resolver-rules=MAP * ~NOTFOUND",  # offline
-        f"--user-data-dir={tmp_path / 'profile'}",
-        "--window-size=1300,2400",
-        "--virtual-time-budget=60000",
-    ]
-    address = (out / "report.html").as_uri()
+    address, profile = (out / "report.html").as_uri(), tmp_path / "profile"
     # As an old browser.
     old = tmp_path / "old.html"
     old.write_text(
         text.replace('"use strict";', '"use strict"; delete globalThis.DecompressionStream;')
     )
-
-    def opened(*further: str, address: str = address) -> str:
-        done = subprocess.run(
-            [str(BROWSER), *options, *further, address], capture_output=True, text=True, timeout=120
-        )
-        assert done.returncode == 0, done.stderr
-        return done.stdout
-
-    page_text = opened("--dump-dom")
+    page_text = opened(profile, address, "--dump-dom")
     body = re.search(r"<body[^>]*>", page_text)
     assert body is not None and 'data-drawn="all"' in body.group()
     assert page_text.count('class="main-svg"') >= len(drawn(text))
     assert '<p id="undrawn" class="judgement unknown" hidden="">' in page_text
     assert '<p id="undrawn" class="judgement unknown">' in opened(
-        "--dump-dom", address=old.as_uri()
+        profile, old.as_uri(), "--dump-dom"
     )
-    opened(f"--screenshot={tmp_path / 'page.png'}")
+    opened(profile, address, f"--screenshot={tmp_path / 'page.png'}")
     image = np.asarray(pillow.open(tmp_path / "page.png").convert("RGB"), dtype=int)
     blue = np.abs(image - np.array([0x00, 0x72, 0xB2])).sum(axis=2) < 60
     assert blue[900:].sum() > 500  # the track
+
+
+@pytest.mark.skipif(
+    BROWSER is None or shutil.which("pdftotext") is None,
+    reason="no Chromium or no pdftotext on this machine: the page is not printed",
+)
+def test_on_paper_the_verdict_comes_first_and_figures_have_the_width_of_the_page(
+    out: Path, text: str, tmp_path: Path
+) -> None:
+    pdf = tmp_path / "page.pdf"
+    opened(tmp_path / "profile", (out / "report.html").as_uri(), f"--print-to-pdf={pdf}")
+
+    def words(*options: str) -> str:
+        return subprocess.run(
+            ["pdftotext", *options, str(pdf), "-"], check=True, capture_output=True, text=True
+        ).stdout
+
+    judgement = re.findall(r'<p class="judgement [a-z]*">([A-Z ]+)', text)[0]
+    assert f"Can I trust this run? {judgement}" in " ".join(words("-l", "1").split())
+    # Below each figure over time stands "time [s]", in the middle of its width and of the page.
+    boxes = re.findall(r'<word xMin="([0-9.]+)"[^>]*>time</word>', words("-bbox"))
+    width = float(re.findall(r'<page width="([0-9.]+)"', words("-bbox"))[0])
+    timed = sum(figure["time"] for figure in drawn(text))
+    assert sum(0.45 < float(x) / width < 0.55 for x in boxes) == timed
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine: the page is not opened")
+def test_on_a_telephone_nothing_runs_out_of_its_box(out: Path, text: str, tmp_path: Path) -> None:
+    """Chromium's window is at least 500 px wide, a frame in it is not."""
+    long = "initial.heading:=parameters_" * 3
+    narrow, frame = tmp_path / "narrow.html", tmp_path / "frame.html"
+    narrow.write_text(
+        text.replace(
+            "</section>", f'<p class="judgement bad">{long}</p><ol><li>{long}</ol></section>', 1
+        ).replace(
+            "drawAll();",
+            "const e = document.documentElement;"
+            "parent.postMessage(e.scrollWidth - e.clientWidth, '*');",
+        )
+    )
+    frame.write_text(
+        "<script>onmessage = (e) => { document.title = `${e.data} px beyond`; };</script>"
+        '<iframe src="narrow.html" style="width:360px;height:900px;border:0"></iframe>'
+    )
+    said = opened(tmp_path / "profile", frame.as_uri(), "--dump-dom")
+    assert "<title>0 px beyond</title>" in said

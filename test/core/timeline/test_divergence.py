@@ -106,6 +106,28 @@ def test_the_order_of_arrival_does_not_matter() -> None:
     assert thin.track.tobytes() == whole.track.tobytes()
 
 
+@pytest.mark.parametrize("fault", ["covariance", "singular"])
+def test_a_gate_that_cannot_judge_is_given_up(fault: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its covariance of untold noise has run away, or a matrix has no inverse: no event is refused
+    for ever."""
+    parameters = build(FilterParameters, {"frame_convention": "ned", "initial.mode": "parameters"})
+    update, at_ns = Filter.update, int(MISSION.dvl_stamps_ns[4])
+
+    def poisoned(self: Filter, state: Records, event: Dvl, *args: Any) -> Any:
+        if event.stamp_ns == at_ns:
+            if fault == "singular":
+                raise np.linalg.LinAlgError("Singular matrix")
+            state[0]["noise"]["excess"][0, 0] = 1e30
+        return update(self, state, event, *args)
+
+    monkeypatch.setattr(Filter, "update", poisoned)
+    result = folded(parameters)
+    assert result.counts["diverged"] == 1
+    assert result.states["nav"]["initialised"][-1] == 1
+    assert len(result.updates) >= len(PINGS) - 1
+    assert result.updates[-1].report.accepted
+
+
 @pytest.mark.parametrize("late_ns", [0, 5_000_000])
 def test_an_update_that_is_not_finite_is_given_up(
     late_ns: int, monkeypatch: pytest.MonkeyPatch

@@ -366,9 +366,9 @@ def test_a_file_of_other_states_or_another_version_is_refused(content: bytes) ->
     other = build(FilterParameters, TOLD | {"dvl.bias_model": "gauss_markov"})
     with pytest.raises(StateFileError, match=r"error states: .* were .*, now .*dvl_error"):
         resumed(content, other)
-    for older in (b"insdvl state 9", b"insdvl state 2"):  # 2: positions were sums of metres
-        with pytest.raises(StateFileError, match=f"another version.*'{older.decode()}'.*state 10"):
-            resumed(content.replace(b"insdvl state 10", older))
+    for older in (b"insdvl state 10", b"insdvl state 2"):  # 2: positions were sums of metres
+        with pytest.raises(StateFileError, match=f"another version.*'{older.decode()}'.*state 11"):
+            resumed(content.replace(b"insdvl state 11", older))
 
 
 def test_parameters_that_decide_nothing_may_change(content: bytes) -> None:

@@ -8,17 +8,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
+from scipy.stats import binom, chi2
 from shown import POSE, SHOWN
 from terminal import Emulator, Terminal
 
-from insdvl.watch.consistency import nis_interval
+from insdvl.watch.consistency import nis_interval, nis_median_limit
 from insdvl.watch.table.digits import number, printable, with_sigma
-from insdvl.watch.table.layout import blocks, line, plain, title, told
+from insdvl.watch.table.layout import LABEL, blocks, line, plain, title, told
 from insdvl.watch.table.numbers import (
     ERROR,
     WARN,
     Finding,
+    Measured,
     Pose,
     Shown,
     Triads,
@@ -132,6 +133,14 @@ def test_the_interval_of_the_nis_is_that_of_chi_square(count: int) -> None:
     assert nis_interval(3, count, 0.9) == pytest.approx(tuple(expected), rel=1e-9)
 
 
+@pytest.mark.parametrize("rows", [1, 3])
+@pytest.mark.parametrize("count", [1, 2, 7, 49])
+def test_the_limit_of_the_median_nis_is_exceeded_by_chance_as_told(rows: int, count: int) -> None:
+    limit = nis_median_limit(rows, count, 1e-3)
+    half = (count + 1) // 2  # of them exceed it where their median does
+    assert binom.sf(half - 1, count, chi2.sf(limit, rows)) == pytest.approx(1e-3, rel=1e-6)
+
+
 def test_the_bar_marks_the_nis_inside_and_outside() -> None:
     inside, outside, beyond = bar(3.0, 2.6, 3.4), bar(5.0, 2.6, 3.4), bar(1e6, 2.6, 3.4)
     assert len(inside) == len(outside) == 27
@@ -159,15 +168,89 @@ def test_findings_have_lines_of_their_own() -> None:
     assert shown == f"/learned ERROR {text} /learned WARN imu: gaps".split()
 
 
+LONG = "the number that led to it, and what an operator is to do about it; " * 5
+SMALL = [(80, 24), (60, 20)]
+
+
+def findings_in(lines: list[str]) -> list[str]:
+    """The levels of the findings on a screen, in their order."""
+    return [text.split()[1] for text in lines if text.startswith("/learned ")]
+
+
+@pytest.mark.parametrize(("columns", "rows"), SMALL)
+def test_what_is_not_right_is_seen_in_a_small_terminal(columns: int, rows: int) -> None:
+    """Also where the table alone fills it; the error first, and each cut says so."""
+    error = VelocityError(now=0.123, rms=0.11, three_sigma=0.3)
+    found = tuple(Finding(level, LONG) for level in (WARN, ERROR, WARN))
+    shown = replace(SHOWN, findings=found, error=error, true_noise=SHOWN.noise)
+    lines = screen_of([shown], columns, rows)
+    assert findings_in(lines) == ["ERROR", "WARN", "WARN"]
+    assert sum(text.endswith("…") for text in lines) == 3
+    begin = next(k for k, text in enumerate(lines) if text.startswith("/learned ERROR"))
+    assert lines[2].startswith("state") and lines[begin - 1].split()[0] in ("NIS", "bias")
+    assert f"… {24 - begin} rows, 3 findings cut: make the terminal larger" in lines[rows - 1]
+
+
+@pytest.mark.parametrize(("columns", "rows"), SMALL)
+def test_more_findings_than_lines(columns: int, rows: int) -> None:
+    """The state stays, the last findings go, and all are counted."""
+    found = (*(Finding(WARN, LONG) for _ in range(30)), Finding(ERROR, LONG))
+    lines = screen_of([replace(SHOWN, findings=found)], columns, rows)
+    assert lines[2] == "state            ERROR, see below (31)"
+    assert findings_in(lines) == ["ERROR", *["WARN"] * (rows - 5)]
+    assert "… 18 rows, 31 findings cut: make the terminal larger" in lines[rows - 1]
+
+
+def test_a_small_terminal_is_filled() -> None:
+    """What a filter that is not heard of leaves is for the rows of the others."""
+    wrong = replace(SHOWN, findings=(Finding(ERROR, LONG),))
+    assert all(screen_of([wrong, SILENT_NOW], 60, 20))
+
+
+def test_an_error_is_seen_beside_more_filters_than_fit() -> None:
+    wrong = replace(SHOWN, findings=(Finding(ERROR, LONG),))
+    lines = screen_of([*[SHOWN] * 12, wrong], 60, 20)
+    assert findings_in(lines) == ["ERROR"]
+
+
+def test_in_a_small_terminal_rows_without_a_value_go_first() -> None:
+    lines = [text for text in screen_of([SILENT_NOW], 60, 20) if text]
+    assert not any(text.endswith(" -") for text in lines)
+    assert " ".join(lines[-3:-1]).startswith("waits for /other/insdvl_filter: start it")
+    assert " ".join(lines[-3:-1]).endswith("parameter 'filters' of the monitor")
+    assert lines[-1] == "… 16 rows without a value left out"
+
+
+def test_an_unknown_heading_is_called_so_at_any_width() -> None:
+    lost = replace(POSE, rpy_sigma_deg=np.array([0.05, 0.05, 100.0]))
+    for columns in (60, 80, 120):
+        said = row("heading [deg]", replace(SHOWN, pose=lost), columns=columns)
+        assert said == "272 ± 100 (unknown)"
+
+
+def test_ages_go_on_where_the_filter_stands_still() -> None:
+    """They are of its stamps, which need samples of the IMU."""
+    assert row("DVL", replace(SHOWN, still=0.2)).startswith("0.42 s ago")
+    stopped = replace(SHOWN, still=12.0)
+    assert row("DVL", stopped).startswith("12 s ago")
+    assert row("state", stopped) == "NO ODOMETRY for 12 s"
+
+
+def test_filters_side_by_side_do_not_touch() -> None:
+    longest = replace(SHOWN, measured=(Measured("DVL", 39_800, {"gate": 1}, 0.42),))
+    (text,) = [t for t in screen_of([longest] * 2, NARROW, 40) if t.startswith("DVL")]
+    assert len(text) < NARROW and text[LABEL + (NARROW - LABEL) // 2 - 1] == " "
+
+
 @pytest.mark.parametrize("columns", [60, 80, 100, 120, 200])
 @pytest.mark.parametrize("count", [1, 2, 5])
 def test_it_fits_into_the_terminal(columns: int, count: int) -> None:
-    """Rows are cut at their column, what is too much below is counted."""
+    """Rows are cut at their column, what is too much is counted."""
     findings = tuple(Finding(WARN, "海" * 100 + "\x1b[2J" + "x" * 300) for _ in range(9))
     filters = [replace(SHOWN, label="x" * 300, findings=findings)] * count
     for rows in (24, 30, 60):
         lines = screen_of(filters, columns, rows)
-        assert any("more lines: make the terminal higher" in text for text in lines)
+        assert "cut: make the terminal larger" in [text for text in lines if text][-1]
         assert lines[0] == "insdvl monitor, stamp 1234.6 s" and "…" in lines[1]
 
 

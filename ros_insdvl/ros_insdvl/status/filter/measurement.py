@@ -2,6 +2,7 @@
 
 from collections import Counter, deque
 from collections.abc import Sequence
+from math import inf
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from insdvl.navigation.events import NS
 from insdvl.navigation.state.layout import gate_counter
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.output import AppliedUpdate
-from insdvl.watch.consistency import nis_median, scaled_nis
+from insdvl.watch.consistency import nis_median, nis_median_limit, scaled_nis
 from insdvl.watch.outages import LOST, OUTAGE
 from insdvl.watch.state_summary import summary
 from ros_insdvl.status.diagnostics import (
@@ -33,8 +34,8 @@ GATE_REJECTIONS = 2
 #: NIS of the last measurements that are kept.
 KEPT_NIS = 100
 #: A filter is overconfident if the median of at least so many NIS is above so many times that of
-#: chi-square.
-NIS_COUNT, NIS_RATIO = 50, 2.0
+#: chi-square; that of fewer must also be one that chance makes less often than NIS_CHANCE.
+NIS_COUNT, NIS_RATIO, NIS_CHANCE = 50, 2.0, 1e-6
 
 #: Events of the gate's recovery, and what the filter did.
 _RECOVERIES = {
@@ -63,6 +64,7 @@ class MeasurementCause(Cause):
         self._tells_velocity, self._angles = model.tells_velocity, model.angles
         self._updates: Counter[str] = Counter()
         self._not_measured: Counter[str] = Counter()  # components
+        self._used = self._received_by_then = 0  # when the last measurement was used
         self.reset()
 
     def reset(self) -> None:
@@ -111,6 +113,7 @@ class MeasurementCause(Cause):
 
     def _report_outage(self, status: Status, view: View) -> None:
         """Complain of a long time of the stamps without a used measurement."""
+        received = self._received_since(view)
         state, first_ns = self._fold.latest, self._published.first_ns
         if state is None or first_ns is None:
             return
@@ -121,13 +124,12 @@ class MeasurementCause(Cause):
         outage_ns = times.time_ns - (first_ns if accepted_ns is None else accepted_ns)
         if outage_ns <= OUTAGE_NS:
             return
-        received = sum(view.received.recent[topic] for topic in self._topics)
-        why = (
-            f"{received} were received in the last {RECENT:.0f} s, see which were refused"
-            if received
-            else f"none is received, check the {self._label}'s driver, its topic and the "
-            "connections"
-        )
+        silence = min(view.silence[topic] for topic in self._topics)
+        if received and silence <= OUTAGE_NS / NS:
+            why = f"{received} came since the last one that was used, see which were refused"
+        else:
+            since = "none is received" if silence == inf else f"none came for {silence:.0f} s"
+            why = f"{since}, check the {self._label}'s driver, its topic and the connections"
         sigma = f"the height's sigma is {self._published.height_sigma:.2f} m"
         if self._tells_velocity:
             sigma = f"the velocity's sigma is {self._published.velocity_sigma:.2f} m/s"
@@ -139,6 +141,13 @@ class MeasurementCause(Cause):
             f"no {self._label} measurement used for {outage_ns / NS:.0f} s: {why}; {sigma}",
         )
 
+    def _received_since(self, view: View) -> int:
+        """How many messages came since the last measurement that was used."""
+        received = sum(view.received.total[topic] for topic in self._topics)
+        if self._updates["accepted"] != self._used:
+            self._used, self._received_by_then = self._updates["accepted"], received
+        return received - self._received_by_then
+
     def _report_nis(self, status: Status) -> None:
         if not self._nis:
             return
@@ -147,7 +156,11 @@ class MeasurementCause(Cause):
         # Message and level are of the median: a few outliers carry the mean away.
         expected = nis_median(self._rows)
         status.summary = f"median NIS {nis:.2f} ({expected:.2f} is expected)"
-        if count >= NIS_COUNT and nis > NIS_RATIO * expected:
+        if nis <= NIS_RATIO * expected:
+            return
+        if count < NIS_COUNT and nis <= nis_median_limit(self._rows, count, NIS_CHANCE):
+            status.summary = f"{count} measurements, too few to judge their NIS"
+        else:
             status.complain(
                 WARN,
                 "overconfident",

@@ -6,7 +6,7 @@ from insdvl.timeline.fold import Fold
 from insdvl.timeline.jumps import TimeJump
 from ros_insdvl.status.diagnostics import ERROR, RECENT, WARN, Status, View
 from ros_insdvl.status.filter.base import Cause
-from ros_insdvl.status.reasons import OF_TIME
+from ros_insdvl.status.reasons import KEPT, OF_TIME
 
 
 class Time(Cause):
@@ -23,7 +23,15 @@ class Time(Cause):
     def status(self, view: View) -> Status:
         """Refusals, jumps, and messages that waited in vain."""
         status = Status("time", "stamps are in order")
-        view.report_refused(status, [*view.silence], OF_TIME)
+        recovered = view.events.recent["recovered"]
+        kept = sum(n for refused, n in view.rejected.recent.items() if refused.reason in KEPT)
+        # Refused at first, they were the beginning of another time, or the end of a gap.
+        are_used = 0 < kept <= recovered
+        told = [reason for reason in OF_TIME if not (are_used and reason in KEPT)]
+        view.report_refused(status, view.silence, told)
+        for refused, count in view.rejected.total.items():
+            if refused.reason in OF_TIME:
+                status.values[f"rejected {refused}"] = count
         held = self._fold.held
         if held is not None:
             status.complain(
@@ -33,11 +41,14 @@ class Time(Cause):
                 "the clock, or call ~/reset to continue there",
             )
         if view.events.recent["time_jumps"] and self._jump is not None:
+            used = (
+                f"; {recovered} messages that were refused at first are used" if recovered else ""
+            )
             status.complain(
                 WARN,
                 "jump",
                 f"the IMU's stamps went from {_seconds(self._jump)} and the filter restarted: "
-                "check the clocks, and send the filter its position if it cannot know it",
+                f"check the clocks, and send the filter its position if it cannot know it{used}",
             )
         if count := view.events.recent["given_up"]:
             status.complain(

@@ -28,7 +28,9 @@ class Learned:
         status.values["enabled"] = self._tuner.enabled
         if not self._tuner.enabled:
             status.complain(
-                WARN, "disabled", "disabled, process_noise is not published: call ~/enable"
+                WARN,
+                "disabled",
+                "disabled, process_noise is not published: set enabled, or call ~/enable",
             )
         elif self._learns_nothing(view):
             status.complain(

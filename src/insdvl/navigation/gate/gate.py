@@ -158,7 +158,8 @@ class Gate:
             left: (m,) innovation that the correction left.
         """
         memory, tells = state["gate"][self._name], self._model.tells_velocity
-        ordinary.accept(state, memory, stamp_ns, H, K, left, self._patience_ns, tells)
+        of_update = stamp_ns, H, K, left, self._patience_ns, tells
+        ordinary.accept(state, memory, self._vehicle.constants, *of_update)
 
     # ---------------------------------------------------------------- the filter, or its IMU
 
@@ -172,7 +173,7 @@ class Gate:
         """The same against a covariance whose process noise is never below what the IMU shows."""
         if not s["noise"]["excess"].any():
             return now
-        P = shown.covariance(s, now.H.shape[1])
+        P = shown.covariance(s, now.H)
         return kalman.innovate(P, now.innovation, now.H, now.R)
 
     def _imu_explains(self, s: State, stamp_ns: int, fair: Innovated, limit: float) -> bool:

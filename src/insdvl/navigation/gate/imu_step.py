@@ -56,7 +56,7 @@ def explains(
             columns.append(amount * seen * loosely * np.eye(n)[:, VELOCITY])
     A = np.concatenate(columns, axis=1)
     R = now.R + (now.H @ A) @ (now.H @ A).T
-    if kalman.innovate(shown.covariance(s, n), now.innovation, now.H, R).nis > limit:
+    if kalman.innovate(shown.covariance(s, now.H), now.innovation, now.H, R).nis > limit:
         return False
     s["nav"]["P"][:n, :n] += A @ A.T
     return True

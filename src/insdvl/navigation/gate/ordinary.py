@@ -120,7 +120,7 @@ def is_ordinary(
         return nis, rows, False
     fair = nis
     if shown.has_excess(s.noise.excess):
-        P = shown.with_excess(s.nav.P, s.noise.excess, H.shape[1])
+        P = shown.with_excess(s.nav.P, s.noise.excess, H)
         fair = algebra.gain(P, H, R, innovation, np.empty_like(S), np.empty_like(K))
     if fair > limits[rows]:
         return nis, rows, False
@@ -133,6 +133,7 @@ def is_ordinary(
 def accept(
     state: Records,
     memory: Records,
+    constants: Records,
     stamp_ns: int,
     H: Array,
     K: Array,
@@ -141,7 +142,7 @@ def accept(
     tells_velocity: bool,
 ) -> None:
     """A measurement has corrected the state, see `Gate.accept`."""
-    shown.corrected(state[0], K, H)
+    shown.corrected(state[0], constants[0], K, H)
     for i in range(len(left)):
         memory[0].left[i] = left[i]
     bear_out(state, memory, stamp_ns, patience_ns, tells_velocity)

@@ -81,7 +81,7 @@ def take_in(
         kalman.correct_linearly(state, constants, H, K, R, innovation, workspace)
     left, H_after, R_after = v_d.copy(), np.zeros((3, n)), np.empty((3, 3))
     linearise(state, workspace, constants, *of_dvl, left, H_after, R_after)
-    ordinary.accept(state, memory, stamp_ns, H, K, left, patience_ns, True)
+    ordinary.accept(state, memory, constants, stamp_ns, H, K, left, patience_ns, True)
     map_to_odom.move_odom(state, C_before, llh_before)
     memory[0].judged_ns = stamp_ns
     return nis

@@ -55,7 +55,7 @@ def has_diverged(s: State) -> bool:
         for j in range(3):
             angles += abs(nav.C_n_b[i, j])
     for i in range(nav.P.shape[0]):
-        variances += abs(nav.P[i, i])
+        variances += abs(nav.P[i, i]) + abs(noise.excess[i, i])
     is_sound = numbers + angles <= LARGEST and variances <= LARGEST_VARIANCE  # nan is not
     return not is_sound
 

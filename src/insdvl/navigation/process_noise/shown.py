@@ -5,6 +5,11 @@ than the filter is told, its P is too small, and a right measurement would look 
 verdict on a measurement therefore takes the covariance of the error that the untold noise makes,
 with the gains that the filter really has. P itself stays as the filter is told.
 
+It is that of velocity, attitude and biases in the filter's coordinates, and of the position in
+metres. Of a measurement that tells a position, such as a depth, the gain of the position counts;
+what it does to the others is left out. In the filter's coordinates a position is the difference of
+numbers that grow with the way travelled, and what corrections change of these would count.
+
 Derivation: docs/explanation/filter.md.
 """
 
@@ -12,21 +17,24 @@ import numpy as np
 
 from insdvl.arrays import Array
 from insdvl.kernels import kernel
+from insdvl.navigation.algebra import tells
 from insdvl.navigation.channels import FEWEST_CHANGES
-from insdvl.navigation.error_state import ATTITUDE, GYROSCOPE_BIAS, VELOCITY
-from insdvl.navigation.geometry.earth import gravity
+from insdvl.navigation.error_state import ATTITUDE, POSITION
+from insdvl.navigation.geometry.earth import displacement, gravity
 from insdvl.navigation.geometry.rotation import cross_matrix, product, skew
 from insdvl.navigation.measurements.base import Vehicle
-from insdvl.navigation.process_noise.between_pings import add_noise, set_transition
+from insdvl.navigation.process_noise.between_pings import (
+    add_noise,
+    add_noise_of_position,
+    set_transition,
+    set_transition_of_position,
+)
 from insdvl.navigation.state.fields import NEVER, State
 from insdvl.navigation.state.scratch import Constants
 
 #: The mean of the last changes is known to 15 %: what is shown counts from so much of the told on.
 CLEARLY_MORE = 1.5
-#: The error states that the untold noise reaches: it drives velocity and attitude, and with wrong
-#: gains also the estimates of the biases.
-REACHED = slice(VELOCITY.start, GYROSCOPE_BIAS.stop)
-_N = REACHED.stop
+_A, _P, _N = ATTITUDE.start, POSITION.start, POSITION.stop
 
 
 def gravity_matrix(nav: State) -> Array:
@@ -70,7 +78,7 @@ def _untold_density(
 
 @kernel
 def has_excess(excess: Array) -> bool:
-    """Whether there is any untold noise in ``noise.excess`` (12, 12)."""
+    """Whether there is any untold noise in ``noise.excess`` (15, 15)."""
     count = 0
     for i in range(_N):
         count += excess[i, i] != 0.0
@@ -79,7 +87,7 @@ def has_excess(excess: Array) -> bool:
 
 @kernel
 def _transform(E: Array, B: Array) -> None:
-    """E <- B E B^T, in place, for (12, 12)."""
+    """E <- B E B^T, in place, for (15, 15)."""
     A = np.empty((_N, _N))
     for i in range(_N):
         for j in range(_N):
@@ -88,11 +96,11 @@ def _transform(E: Array, B: Array) -> None:
                 total += B[i, k] * E[k, j]
             A[i, j] = total
     for i in range(_N):
-        for j in range(_N):
+        for j in range(i + 1):
             total = 0.0
             for k in range(_N):
                 total += A[i, k] * B[j, k]
-            E[i, j] = total
+            E[i, j] = E[j, i] = total
 
 
 @kernel
@@ -118,46 +126,69 @@ def advance(s: State, c: Constants, stamp_ns: int) -> None:
         skew(v_x, nav.v_n)
     Phi = np.eye(_N)
     set_transition(Phi, nav.C_n_b, v_x, g_x, t)
+    set_transition_of_position(Phi, nav.C_n_b, v_x, g_x, t)
     _transform(noise.excess, Phi)
     add_noise(noise.excess, S_f, S_w, v_x, g_x, t)
+    add_noise_of_position(noise.excess, S_f, S_w, v_x, g_x, t)
 
 
 @kernel
-def corrected(s: State, K: Array, H: Array) -> None:
+def corrected(s: State, c: Constants, K: Array, H: Array) -> None:
     """A measurement has corrected the state with the gain K (n, m) and the Jacobian H (m, n)."""
     if not has_excess(s.noise.excess):
         return
-    B = np.eye(_N)
-    for i in range(_N):
-        for j in range(_N):
+    B, gains = np.eye(_N), _in_metres(s, c, K)
+    of_position = tells(H, _P, _N)
+    for i in range(_P if of_position else 0, _N):
+        for j in range(_P if of_position else 0, _N):
             for a in range(H.shape[0]):
-                B[i, j] -= K[i, a] * H[a, j]
+                B[i, j] -= gains[i, a] * H[a, j]
     _transform(s.noise.excess, B)
 
 
 @kernel
-def with_excess(P: Array, excess: Array, n: int) -> Array:
-    """P (n, n) of the error states in use, with the covariance of the untold noise."""
+def _in_metres(s: State, c: Constants, K: Array) -> Array:
+    """The gain (15, m) with that of the position in metres, dp = dp_model - [x x] psi."""
+    gains, x_n, x_x = K[:_N].copy(), np.empty(3), np.empty((3, 3))
+    if c.invariant:
+        displacement(x_n, s.nav.llh_r, s.nav.llh)
+        skew(x_x, x_n)
+        for i in range(3):
+            for a in range(K.shape[1]):
+                for j in range(3):
+                    gains[_P + i, a] -= x_x[i, j] * K[_A + j, a]
+    return gains
+
+
+@kernel
+def with_excess(P: Array, excess: Array, H: Array) -> Array:
+    """P (n, n) with the covariance of the untold noise, as a measurement sees it.
+
+    One that tells a position sees that of the position alone: the rest of its Jacobian H (m, n)
+    takes the filter's coordinates to metres.
+    """
+    n = H.shape[1]
     of_both = P[:n, :n].copy()
-    for i in range(_N):
-        for j in range(_N):
+    first, last = (_P, _N) if tells(H, _P, _N) else (0, _P)
+    for i in range(first, last):
+        for j in range(first, last):
             of_both[i, j] += excess[i, j]
     return of_both
 
 
-def covariance(s: State, n: int) -> Array:
-    """Covariance (n, n) of the error state, with that of the untold noise."""
-    return with_excess(s["nav"]["P"], s["noise"]["excess"], n)
+def covariance(s: State, H: Array) -> Array:
+    """Covariance (n, n) of the error state, with that of the untold noise, see `with_excess`."""
+    return with_excess(s["nav"]["P"], s["noise"]["excess"], H)
 
 
 def drift(s: State, vehicle: Vehicle, seconds: float) -> Array:
     """Covariance (3, 3) of what the untold noise adds to a drift of the velocity, NED."""
     c, noise, channels = vehicle.constants[0], s["noise"], s["channels"]
-    S_f, S_w = np.zeros((3, 3)), np.zeros((3, 3))
-    if channels["changes"] >= FEWEST_CHANGES:
-        of, at = (s["nav"]["C_n_b"], c["C_b_i"]), (c["density"], c["rate"])
-        _untold_density(S_f, *of, noise["Q_f"], channels["change"][:3], *at)
-        _untold_density(S_w, *of, noise["Q_w"], channels["change"][3:], *at)
+    S_f, S_w = np.empty((3, 3)), np.empty((3, 3))
+    change = channels["change"] if channels["changes"] >= FEWEST_CHANGES else np.zeros(6)
+    of, at = (s["nav"]["C_n_b"], c["C_b_i"]), (c["density"], c["rate"])
+    _untold_density(S_f, *of, noise["Q_f"], change[:3], *at)
+    _untold_density(S_w, *of, noise["Q_w"], change[3:], *at)
     g_x = gravity_matrix(s["nav"])
     tilt = noise["excess"][ATTITUDE, ATTITUDE] * seconds**2 + S_w * seconds**3 / 3.0
     return np.asarray(S_f * seconds + g_x @ tilt @ g_x.T)

@@ -49,8 +49,8 @@ def noise(n: int) -> tuple[Field, ...]:
         Field("root", NUMBER, (n, 3)),
         Field("innovations", NUMBER, (MAX_WINDOW, 3)),
         Field("innovation_count", COUNT),
-        # Covariance of the errors by noise that is not told, of all but the position, and its stamp
-        Field("excess", COVARIANCE, (12, 12)),
+        # Covariance of the errors by noise that is not told, the position in metres, and its stamp
+        Field("excess", COVARIANCE, (CORE, CORE)),
         Field("excess_ns", STAMP),
     )
 

@@ -96,6 +96,7 @@ edit.
 - It outlasts time jumps and `~/reset`. With a `state_file` it also outlasts a restart, until the
   node is started with another value of that parameter.
 - A recording does not have it. For `insdvl replay` put the value into the file.
+- `enabled` of the tuner is in force at once. Its service `~/enable` sets the same parameter.
 """
 
 TO_SET_HEADER = """\

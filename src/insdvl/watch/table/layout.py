@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from insdvl.watch.table.digits import number, printable
-from insdvl.watch.table.numbers import ERROR, LEVELS, OK, Shown
+from insdvl.watch.table.numbers import ERROR, LEVELS, OK, WARN, Shown
 from insdvl.watch.table.rows import ESSENCE, SILENT, rows_of
 
 LABEL = 17  # cells
@@ -57,26 +57,31 @@ def blocks(filters: Sequence[Shown], columns: int) -> Iterator[Block]:
         yield Block(width, rows)
 
 
-def told(filters: Sequence[Shown], notes: Sequence[str] = ()) -> Iterator[Told]:
-    """The sentences below the table.
+def told(filters: Sequence[Shown], notes: Sequence[str] = ()) -> list[Told]:
+    """The sentences below the table, the worst first and the notes last.
 
     Args:
         filters: What is shown of each filter.
         notes: What else to say.
     """
-    for shown in filters:
-        if shown.silent is None:
-            yield Told(
-                f"waits for {printable(shown.node)}: start it; check ROS_DOMAIN_ID, and the "
-                "parameter 'filters' of the monitor"
-            )
-        elif shown.silent > SILENT:
-            text = f"ERROR no diagnostics for {shown.silent:.0f} s, it may have ended"
-            yield Told(f"{printable(shown.label)} {text}", ERROR)
-        for finding in shown.findings:
-            text = f"{shown.label} {LEVELS.get(finding.level, '?')} {finding.text}"
-            yield Told(printable(text), finding.level)
-    yield from (Told(printable(note)) for note in notes)
+    found = [said for shown in filters for said in _of_filter(shown)]
+    found.sort(key=lambda said: -said.level)
+    return [*found, *(Told(printable(note)) for note in notes)]
+
+
+def _of_filter(shown: Shown) -> Iterator[Told]:
+    if shown.silent is None:
+        yield Told(
+            f"waits for {printable(shown.node)}: start it; check ROS_DOMAIN_ID, and the "
+            "parameter 'filters' of the monitor",
+            WARN,
+        )
+    elif shown.silent > SILENT:
+        text = f"ERROR no diagnostics for {shown.silent:.0f} s, it may have ended"
+        yield Told(f"{printable(shown.label)} {text}", ERROR)
+    for finding in shown.findings:
+        text = f"{shown.label} {LEVELS.get(finding.level, '?')} {finding.text}"
+        yield Told(printable(text), finding.level)
 
 
 def plain(filters: Sequence[Shown], notes: Sequence[str] = ()) -> str:

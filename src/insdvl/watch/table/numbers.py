@@ -98,6 +98,7 @@ class Shown:
         label: Its namespace.
         node: Its full name.
         silent: Wall time since it was last heard of [s].
+        still: Wall time since its last odometry [s].
         pose: Its state.
         measured: Its measurements, the DVL first.
         nis: Mean normalised innovation squared of the DVL.
@@ -119,6 +120,7 @@ class Shown:
     label: str
     node: str
     silent: float | None = None
+    still: float | None = None
     pose: Pose | None = None
     measured: tuple[Measured, ...] = ()
     nis: float | None = None

@@ -17,6 +17,8 @@ DVL_ROWS = 3
 INTERVAL = 0.9
 #: A filter that was not heard of for longer may have ended [s]; it reports once a second.
 SILENT = 5.0
+#: A filter without odometry for longer stands still [s]: it sends some with each sample.
+STILL = 2.0
 #: The bar of the NIS: its width, and the width of a cell from which on there is room for it.
 BAR, BAR_FROM = 25, 50
 
@@ -44,9 +46,16 @@ def _state(shown: Shown, width: int) -> str:
     worst = max((finding.level for finding in shown.findings), default=0)
     if shown.pose is None:
         return "not initialised"
+    if still := _standing_still(shown):
+        return f"NO ODOMETRY for {still:.0f} s"
     if worst >= ERROR:
         return f"ERROR, see below ({len(shown.findings)})"
     return f"navigates, {len(shown.findings)} to note" if shown.findings else "navigates, all well"
+
+
+def _standing_still(shown: Shown) -> float:
+    """How long a filter has published no odometry [s]; 0 for one that does."""
+    return shown.still if shown.still is not None and shown.still > STILL else 0.0
 
 
 def _position(axis: int) -> Callable[[Shown, int], str]:
@@ -63,7 +72,7 @@ def _heading(shown: Shown, width: int) -> str:
         return UNKNOWN
     sigma = shown.pose.rpy_sigma_deg[2]
     text = with_sigma([shown.pose.rpy_deg[2]], [sigma])
-    return f"{text} (unknown)" if sigma > 60.0 and width >= BAR_FROM else text
+    return f"{text} (unknown)" if sigma > 60.0 else text
 
 
 def _tilt(shown: Shown, width: int) -> str:
@@ -97,12 +106,16 @@ def _measured(number_of: int) -> Callable[[Shown, int], str]:
         total = measured.used + refused
         if not total:
             return "none received yet"
-        age = "" if measured.age is None else f"{number(measured.age, 2)} s ago, "
+        age = ""
+        if measured.age is not None:
+            # Its age is of the filter's time, which stands still with the odometry.
+            still = _standing_still(shown)
+            seconds = f"{measured.age + still:.0f}" if still else number(measured.age, 2)
+            age = f"{seconds} s ago, "
         text = f"{age}{100.0 * measured.used / total:.1f} % of {total} used"
-        if measured.refused and width >= BAR_FROM:
-            common = sorted(measured.refused.items(), key=lambda item: -item[1])[:2]
-            text += f" ({', '.join(f'{reason} {count}' for reason, count in common)})"
-        return text
+        common = sorted(measured.refused.items(), key=lambda item: -item[1])[:2]
+        reasons = f" ({', '.join(f'{reason} {count}' for reason, count in common)})"
+        return text + reasons if common and len(text + reasons) <= width else text
 
     return cell
 

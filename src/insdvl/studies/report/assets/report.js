@@ -15,6 +15,7 @@ const common = {
 const axis = { gridcolor: "#e6ebf1", linecolor: "#9aa5b1", showline: true, ticks: "outside" };
 const options = { responsive: true, displaylogo: false, scrollZoom: false,
   modeBarButtonsToRemove: ["select2d", "lasso2d", "sendDataToCloud", "zoomIn2d", "zoomOut2d"] };
+const PAPER = 680; // px, within the margins of A4 and Letter
 let range = null; // of all time axes; null is that of each figure
 let moving = false;
 
@@ -62,6 +63,13 @@ function follow(moved, change) {
   Promise.all(others.map(move))
     .finally(() => { moving = false; });
 }
+
+// On paper figures are as wide as its text and not as the window was.
+function fit(layout) {
+  for (const place of places) if (place.dataset.drawn) Plotly.relayout(place, layout);
+}
+addEventListener("beforeprint", () => fit({ width: PAPER, autosize: false }));
+addEventListener("afterprint", () => fit({ width: null, autosize: true }));
 
 // One figure at a time, so that the page can be read and moved meanwhile.
 async function drawAll() {
