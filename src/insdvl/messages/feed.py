@@ -35,6 +35,8 @@ class Feed:
         inputs: The topics and their converters.
         fold: The filter's timeline; ``fold.take()`` gives what is to be published.
         has_map: Whether an input tells heading or position against the Earth: then map is not odom.
+        recovered: Events that the last message made the fold use after all, itself among them; see
+            `Fold.add`.
         refused: Messages that are not used, by topic and reason. A measurement in a message of the
             IMU is refused by its own name: the sample may be used.
     """
@@ -61,6 +63,7 @@ class Feed:
         models, topics = self.fold.filter.models, taken(parameters).values()
         self.has_map = any(models[t.measurement].absolute for t in topics if t.measurement)
         self.inputs = Inputs(parameters, has_map=self.has_map)
+        self.recovered: list[Event] = []
         self.refused: Counter[Refused] = Counter()
         self._on_refused = on_refused
 
@@ -75,11 +78,13 @@ class Feed:
             The events of the message. It never raises on what is in a message.
         """
         fed: list[Fed] = []
+        self.recovered = []
         times_left = len(self.fold.left)
         try:
             for event in self.inputs.events(topic, message, self.fold):
                 refusal = self.fold.add(event)
                 fed.append(Fed(event, refusal))
+                self.recovered += self.fold.recovered
                 if refusal is not None:
                     of_imu = self.inputs.topics[topic].name == IMU
                     where = event.name if of_imu and isinstance(event, Measurement) else topic

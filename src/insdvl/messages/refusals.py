@@ -2,6 +2,9 @@
 
 from typing import NamedTuple
 
+#: Reason in a replay alone: the samples that a measurement waits for are not in the recording.
+NO_SAMPLE = "no_sample"
+
 
 class Refused(NamedTuple):
     """Topic and reason of messages that are not used.

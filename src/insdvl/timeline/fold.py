@@ -95,6 +95,7 @@ class Fold:
         self._left: list[LeftTime] = []  # until `take` has given what was not yet published
         #: The time jump that ``jump_action: hold`` does not follow; None when there is none.
         self.held: TimeJump | None = None
+        self.recovered: list[Event] = []  # by the last `add`: what it was given, and refused before
         self._suspects = Suspects(self._near_ns, self._max_gap_ns, self._jump_limit_ns)
         self._begin(self.settings)
 
@@ -166,8 +167,8 @@ class Fold:
             event with the smallest payload counts, whichever comes first). What was too late or far
             ahead may be used after all: then it is counted as ``recovered``.
         """
-        reason = refusal(event)
-        if reason is not None:
+        self.recovered = []
+        if (reason := refusal(event)) is not None:
             return reason
         if self._samples.count:
             ahead_ns = event.stamp_ns - self._last_ns
@@ -279,26 +280,26 @@ class Fold:
             # What waited for samples of the old time may belong to the new one.
             waiting = [e.event for e in self._entries.ordered if e.event.stamp_ns > newest_ns]
             self._leave(jump)
-            self._counts["given_up"] += len(waiting) - self._insert_of(run, waiting, reach_ns)
+            self._counts["given_up"] += len(waiting) - len(self._insert_of(run, waiting, reach_ns))
         self._suspects.forget()
-        # The sample that completes the run has not been refused.
-        self._counts["recovered"] += self._insert_of(run, candidates, reach_ns) - 1
+        self.recovered = self._insert_of(run, candidates, reach_ns)
+        self._counts["recovered"] += len(self.recovered) - 1  # the last one was never refused
         self._confirm_present()
         return None
 
-    def _insert_of(self, run: Run, candidates: Iterable[Event], reach_ns: int) -> int:
-        """Insert those events that are of the run's time; returns how many are new.
+    def _insert_of(self, run: Run, candidates: Iterable[Event], reach_ns: int) -> list[Event]:
+        """Insert those events that are of the run's time; returns those that are new.
 
         What is not a sample may be older than the run by ``reach_ns``.
         """
-        count = 0
+        found = []
         for event in candidates:
             is_sample = isinstance(event, Imu)
             first_ns = run.first_ns - (self._max_delay_ns if is_sample else reach_ns)
             last_ns = run.last_ns + (0 if is_sample else self._limit_ns(event))
-            if first_ns <= event.stamp_ns <= last_ns:
-                count += self._insert(event) is None
-        return count
+            if first_ns <= event.stamp_ns <= last_ns and self._insert(event) is None:
+                found.append(event)
+        return found
 
     def _confirm_present(self) -> None:
         """A sample of the present time was accepted."""

@@ -333,6 +333,79 @@ def test_a_fix_a_pressure_and_a_compass_are_found(raws: list[Raw]) -> None:
     }
 
 
+# ---------------------------------------------------------------- sensors that stop
+
+
+def lasting(raws: list[Raw], topic: str, begin: float, end: float) -> list[Raw]:
+    """The recording with a topic from one time to another [s] only."""
+    return [
+        raw for raw in raws if raw.topic != topic or begin <= (raw.time_ns - START_NS) / NS <= end
+    ]
+
+
+@pytest.mark.parametrize(
+    ("topic", "begin", "end", "text"),
+    [
+        ("/imu", 0.0, 20.0, "IMU: nothing in the last 5.0 s, from 20.0 of 25.0 s on."),
+        ("/imu", 4.0, 25.0, "IMU: nothing in the first 4.0 of 25.0 s."),
+        ("/dvl", 0.0, 18.5, "DVL: nothing in the last 7.0 s, from 18.0 of 25.0 s on."),
+        ("/dvl", 5.5, 25.0, "DVL: nothing in the first 6.0 of 25.0 s."),
+    ],
+)
+def test_a_sensor_that_starts_late_or_stops_is_told_with_times(
+    topic: str, begin: float, end: float, text: str, raws: list[Raw]
+) -> None:
+    found = said(lasting(raws, topic, begin, end))
+    assert text in [finding.text for finding in found if finding.wrong]
+    assert is_usable(found)
+
+
+@pytest.mark.parametrize(("topic", "use"), [("/imu", "IMU"), ("/dvl", "DVL")])
+def test_a_sensor_that_is_missing_for_most_of_a_recording_makes_it_useless(
+    topic: str, use: str, raws: list[Raw]
+) -> None:
+    """At its end, or within it."""
+    for part in (
+        lasting(raws, topic, 0.0, 8.0),
+        [r for r in raws if r.topic != topic or not 4.5 < (r.time_ns - START_NS) / NS < 20.0],
+    ):
+        found = said(part)
+        assert not is_usable(found)
+        assert f"The {use} is missing for 1" in texts(found, STAMPS)
+
+
+def test_a_depth_sensor_that_stops_is_told(raws: list[Raw]) -> None:
+    pressures = []
+    for k in range(10):
+        pressure = new_message(PRESSURE)
+        pressure.header.stamp.sec, pressure.fluid_pressure = START_NS // NS + k, 2e5
+        pressures.append(encode("/ctd/pressure", START_NS + k * NS, pressure))
+    found = said(sorted([*raws, *pressures], key=lambda raw: raw.time_ns))
+    assert "depth: nothing in the last 16.0 s, from 9.0 of 25.0 s on." in wrong(found)
+    assert is_usable(found)
+
+
+def test_what_a_recorder_or_a_slow_dvl_leaves_at_the_ends_is_no_fault() -> None:
+    """Topics are found one after the other, and a ping every 5 s is not there at every second."""
+    begin_ns, end_ns = 100 * NS, 200 * NS
+    for step, first, last, expected in (
+        (0.01, 100.9, 199.2, (0.0, 0.0)),
+        (0.01, 101.2, 198.0, (1.2, 2.0)),
+        (5.0, 113.0, 188.0, (0.0, 0.0)),
+        (5.0, 116.0, 181.0, (16.0, 19.0)),
+    ):
+        log = StampLog()
+        for t in np.arange(first, last + 1e-6, step):
+            log.add(round(t * NS), round(t * NS))
+        found = log.facts().missing_at_ends(begin_ns, end_ns)
+        np.testing.assert_allclose(found, expected, atol=0.02)
+
+
+def test_an_imu_that_ends_before_the_dvl_begins_is_not_a_matter_of_clocks(raws: list[Raw]) -> None:
+    parts = lasting(lasting(raws, "/imu", 0.0, 10.0), "/dvl", 12.0, 25.0)
+    assert "they were not recorded at the same time" in texts(said(parts), STAMPS)
+
+
 # ---------------------------------------------------------------- start and heading
 
 
@@ -343,6 +416,108 @@ def test_a_rest_at_the_start_is_told() -> None:
     shaken = still.f_b + np.repeat(rng.normal(0.0, 0.3, (100, 3)), 3, axis=0)[: len(still.f_b)]
     found = said(raws_of(replace(still, f_b=shaken)))
     assert texts(found, START).startswith("It stays, but vibrates")
+
+
+@pytest.mark.parametrize(("shaking", "shown"), [(0.0, "no motion"), (0.3, "that it vibrates")])
+def test_whether_it_stays_is_not_told_without_a_dvl(shaking: float, shown: str) -> None:
+    """At a constant speed the samples are those at rest, with and without vibration."""
+    still = flown(3.0, STATIC)
+    rng = np.random.default_rng(1)
+    shaken = still.f_b + np.repeat(rng.normal(0.0, shaking, (100, 3)), 3, axis=0)[: len(still.f_b)]
+    raws = [raw for raw in raws_of(replace(still, f_b=shaken)) if raw.topic != "/dvl"]
+    assert texts(said(raws), START).startswith(f"Not told: the samples show {shown}, and no DVL")
+
+
+# ---------------------------------------------------------------- scatter of the DVL
+
+
+@pytest.mark.parametrize("share", [0.0, 0.05])
+def test_the_scatter_is_that_of_normal_noise_with_and_without_outliers(share: float) -> None:
+    rng = np.random.default_rng(8)
+    log = DvlLog(10.0, np.eye(3))
+    for k in range(6000):
+        off = rng.choice([-3.0, 3.0], 3) * (rng.random() < share)
+        log.add(Dvl((k + 1) * NS, 1.0 + 0.1 * rng.standard_normal(3) + off))
+    scatter = log.facts().scatter
+    assert scatter is not None
+    np.testing.assert_allclose(scatter, 0.1, rtol=0.1)
+
+
+# ---------------------------------------------------------------- two vehicles, two sensors
+
+
+def on_topics(raws: list[Raw], imus: dict[str, int], dvls: dict[str, int]) -> list[Raw]:
+    """The recording with the messages of each sensor on other topics, one in so many of them."""
+    copies = {"/imu": imus, "/dvl": dvls}
+    counts = dict.fromkeys(copies, 0)
+    moved = []
+    for raw in raws:
+        if raw.topic not in copies:
+            moved.append(raw)
+            continue
+        counts[raw.topic] += 1
+        moved += [
+            raw._replace(topic=name)
+            for name, every in copies[raw.topic].items()
+            if counts[raw.topic] % every == 0
+        ]
+    return moved
+
+
+@pytest.mark.parametrize(
+    ("imus", "dvls", "chosen"),
+    [
+        # Two vehicles: never one sensor of each, whichever has more messages.
+        (
+            {"/port/imu/data_raw": 1, "/stbd/imu/data_raw": 1},
+            {"/port/dvl/velocity": 1, "/stbd/dvl/velocity": 1},
+            ("/stbd/imu/data_raw", "/stbd/dvl/velocity"),
+        ),
+        (
+            {"/port/imu/data_raw": 1, "/stbd/imu/data_raw": 2},
+            {"/port/dvl/velocity": 2, "/stbd/dvl/velocity": 1},
+            ("/port/imu/data_raw", "/port/dvl/velocity"),
+        ),
+        # Of one vehicle alone there is a DVL.
+        (
+            {"/port/xsens": 4, "/stbd/imu/data_raw": 1},
+            {"/port/dvl/velocity": 1},
+            ("/port/xsens", "/port/dvl/velocity"),
+        ),
+        # The namespace of a sensor is none of a vehicle.
+        (
+            {"/imu/data_raw": 1, "/dvl/imu": 4},
+            {"/dvl/twist": 1},
+            ("/imu/data_raw", "/dvl/twist"),
+        ),
+    ],
+)
+def test_imu_and_dvl_are_of_one_vehicle(
+    imus: dict[str, int], dvls: dict[str, int], chosen: tuple[str, str], raws: list[Raw]
+) -> None:
+    seen = inspect(
+        cast(BagReader, Memory(on_topics(raws[:800], imus, dvls))),
+        FilterParameters(),
+        ReplayParameters(imu_topic="/none", dvl_topic="/none"),
+        adapt=True,
+    )
+    assert (seen.sensors.imu, seen.sensors.dvl) == chosen
+    said_of = texts(answers(seen), NEEDED)
+    for use, names, name in (("IMU", imus, chosen[0]), ("DVL", dvls, chosen[1])):
+        others = ", ".join(other for other in names if other != name)
+        text = f"CHECK that {name} is the {use} of this vehicle: {others} could be"
+        assert (text in said_of) == bool(others)
+
+
+def test_the_dvl_of_the_vehicle_whose_imu_is_named_is_taken(raws: list[Raw]) -> None:
+    names = ("/port", "/stbd")
+    topics_of = on_topics(
+        raws[:400], {f"{n}/imu": 1 for n in names}, {f"{n}/dvl": 1 for n in names}
+    )
+    for name in names:
+        replay = ReplayParameters(imu_topic=f"{name}/imu")
+        memory = cast(BagReader, Memory(topics_of))
+        assert inspect(memory, FilterParameters(), replay, adapt=True).sensors.dvl == f"{name}/dvl"
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,7 @@ from insdvl.simulation.noise import constant
 from insdvl.simulation.sensors.dvl import DvlModel
 from insdvl.simulation.sensors.imu import ImuModel
 from insdvl.simulation.trajectories import AUV, BASELINE
-from insdvl.studies.init.template import CHECK
+from insdvl.studies.check.findings import CHECK
 from insdvl.studies.report.parameter_page import TO_SET
 
 SECONDS = 25.0
@@ -76,6 +76,24 @@ def test_it_is_filled_from_the_recording(written: Path) -> None:
     assert replay.ground_truth_topic == "/truth"
 
 
+def test_a_further_imu_or_dvl_is_to_be_looked_at(tmp_path: Path, bag: Path, written: Path) -> None:
+    """Where there is one of each, nothing is to be looked at."""
+    assert re.findall(rf"(?:imu|dvl)_topic: .*{CHECK}", written.read_text()) == []
+    raws = raws_of(flown(3.0))
+    others = {"/imu": "/camera/imu", "/dvl": "/other/dvl"}
+    doubled = [
+        copy
+        for raw in raws
+        for copy in (raw, raw._replace(topic=others.get(raw.topic, "")))
+        if copy.topic
+    ]
+    path = tmp_path / "my.yaml"
+    assert cli.main(["init", str(save(tmp_path / "two", doubled)), "-o", str(path)]) == 0
+    text = path.read_text()
+    assert re.search(rf'imu_topic: "/imu" .*# {CHECK}: or /camera/imu; sensor_msgs', text)
+    assert re.search(rf'dvl_topic: "/dvl" .*# {CHECK}: or /other/dvl; geometry_msgs', text)
+
+
 def test_replay_navigates_with_it(bag: Path, written: Path, tmp_path: Path) -> None:
     numbers = tmp_path / "numbers.json"
     arguments = ["replay", str(bag), "--config", str(written), "--json", str(numbers)]
@@ -113,6 +131,18 @@ def test_the_noise_of_a_speed_along_one_axis_is_that_of_its_scatter(tmp_path: Pa
     assert cli.main(["init", str(bag), "-o", str(tmp_path / "my.yaml")]) == 0
     sigma = load_section(tmp_path / "my.yaml", "insdvl_filter", FilterParameters).dvl.noise_std
     assert 0.01 < sigma[0] < 0.04
+
+
+def test_the_noise_of_the_dvl_is_without_its_outliers(tmp_path: Path) -> None:
+    """Of the pings 6 % are off by 2 m/s, one in each window of the alignment."""
+    mission = flown(125.0)
+    rng = np.random.default_rng(3)
+    v = mission.v_d.copy()
+    v[8::17] += rng.choice([-2.0, 2.0], v[8::17].shape) / np.sqrt(3.0)
+    bag = save(tmp_path / "dive", raws_of(replace(mission, v_d=v)))
+    assert cli.main(["init", str(bag), "-o", str(tmp_path / "my.yaml")]) == 0
+    sigma = load_section(tmp_path / "my.yaml", "insdvl_filter", FilterParameters).dvl.noise_std
+    assert sigma[0] == pytest.approx(0.02, rel=0.2)
 
 
 def test_an_existing_file_is_left_alone(

@@ -2,7 +2,8 @@
 
 import json
 import re
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from whole import States, Whole, fold_whole
 from insdvl import cli
 from insdvl.arrays import Array, Stamps
 from insdvl.messages.refusals import Refused
+from insdvl.messages.topics import DVL, IMU
 from insdvl.navigation import coordinates
 from insdvl.navigation.error_state import ATTITUDE, POSITION
 from insdvl.navigation.events import NS, Event, Imu, Initial, ProcessNoise, SensorNoise
@@ -35,6 +37,7 @@ from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import SCENARIOS, constant
 from insdvl.simulation.trajectories import BASELINE
 from insdvl.studies.evaluation.metrics import Track, autocorrelation, normalised_innovations
+from insdvl.studies.judgement.incidents import incidents_of
 from insdvl.studies.replay import fold as replay
 from insdvl.studies.replay.fold import fold_recording, read
 from insdvl.studies.replay.inputs.injection import Injected, Injection
@@ -234,7 +237,9 @@ def test_a_recording_that_begins_again_is_folded_in_parts(
     assert numbers["dvl_accepted"] == 2 * single["dvl_accepted"]
     assert numbers["imu_samples"] == 2 * single["imu_samples"]
     assert numbers["counts"]["time_jumps"] == 1
-    assert sum(numbers["rejected"].values()) == numbers["counts"]["recovered"]
+    # The first samples of the new time were refused, and used after all.
+    assert numbers["counts"]["recovered"] > 0
+    assert numbers["rejected"] == {}
     with BagReader(tmp_path / "out") as out:
         stamps = [raw.time_ns for raw in out.raw({"/odometry/filtered"})]
     assert sorted(stamps) == sorted(2 * mission.stamps_ns.tolist())
@@ -272,6 +277,79 @@ def test_bad_messages_are_counted_and_change_nothing_else(
     numbers = report(replayed)
     assert numbers["dvl_rejected"] == 2
     assert numbers["dvl_rejected_by_reason"] == {"not_finite": 1, "too_late": 1}
+
+
+def accounted(numbers: dict[str, Any]) -> dict[str, int]:
+    """How many messages of IMU and DVL the numbers tell the fate of."""
+    refused = sum(n for key, n in numbers["rejected"].items() if key.startswith(f"{IMU}: "))
+    of_dvl = [numbers[f"dvl_{fate}"] for fate in ("accepted", "rejected", "not_judged")]
+    for fate in ("rejected", "not_judged"):
+        assert sum(numbers[f"dvl_{fate}_by_reason"].values()) == numbers[f"dvl_{fate}"]
+    return {IMU: numbers["imu_samples"] + refused, DVL: sum(of_dvl)}
+
+
+def recorded(raws: Sequence[Raw]) -> dict[str, int]:
+    return {name: sum(raw.topic == name for raw in raws) for name in (IMU, DVL)}
+
+
+def test_every_message_is_accounted_for_where_the_imu_stops(recording: list[Raw]) -> None:
+    """The pings after it wait for samples that never come, and the last are too far ahead."""
+    last_ns = START_NS + 8 * NS
+    stopped = [raw for raw in recording if raw.topic != IMU or raw.time_ns <= last_ns]
+    for limit, far in ((100.0, 0), (6.0, 6)):
+        # So many samples may be on their way, beside the limit.
+        parameters = filter_parameters(jump_limit=limit, imu__rate=10_000.0 / limit)
+        replayed = fold_recording(stopped, parameters)
+        numbers = report(replayed)
+        assert accounted(numbers) == recorded(stopped)
+        assert numbers["messages"] == Counter(
+            raw.topic for raw in stopped if raw.topic in (IMU, DVL)
+        )
+        assert numbers["dvl_not_judged_by_reason"] == {"no_sample": 12 - far}
+        assert numbers["dvl_rejected_by_reason"] == ({"far_ahead": far} if far else {})
+        found = {i.name: i for i in incidents_of(replayed)}
+        waited = found["dvl refused: no_sample"]
+        assert waited.count == 12 - far
+        assert waited.begin == pytest.approx(last_ns / NS + 1.0, abs=0.02)
+        if far:
+            # Told at the time at which they came.
+            assert found["dvl refused: far_ahead"].end == pytest.approx(
+                last_ns / NS + 12.0, abs=0.02
+            )
+
+
+def test_every_message_is_accounted_for_over_a_time_jump_and_a_gap(recording: list[Raw]) -> None:
+    """What was refused at first and then used is not refused, and is no incident."""
+    gap = [raw for raw in recording if not 5.0 < (raw.time_ns - START_NS) / NS < 9.0]
+    for raws in (gap, [*recording, *recording], [*gap, *recording]):
+        replayed = fold_recording(raws, filter_parameters())
+        numbers = report(replayed)
+        assert numbers["counts"]["recovered"] > 0
+        assert accounted(numbers) == recorded(raws)
+        assert not [i for i in incidents_of(replayed) if "refused" in i.name]
+
+
+def test_messages_that_are_refused_are_incidents_at_the_time_at_which_they_came(
+    recording: list[Raw],
+) -> None:
+    """Also where their stamps are nonsense, and stamps and recorder are of different clocks."""
+    bad = []
+    for raw in recording:
+        since = (raw.time_ns - START_NS) / NS
+        if raw.topic == IMU and 6.0 < since < 6.05:
+            raw = encode(
+                IMU, raw.time_ns, imu_message(raw.time_ns, "", np.full(3, np.nan), (0,) * 3)
+            )
+        if raw.topic == DVL and 11.5 < since < 13.5:
+            stamp_ns = START_NS + 10**8 * NS if since < 12.5 else raw.time_ns
+            raw = encode(DVL, raw.time_ns, twist_message(stamp_ns, "", (np.inf, 0.0, 0.0)))
+        bad.append(raw._replace(time_ns=raw.time_ns - START_NS // 2))
+    found = {i.name: i for i in incidents_of(fold_recording(bad, filter_parameters()))}
+    samples, pings = found[f"{IMU} refused: not_finite"], found["dvl refused: not_finite"]
+    assert (samples.count, pings.count) == (4, 2)
+    assert samples.begin == pytest.approx(START_NS / NS + 6.01, abs=0.02)
+    assert pings.begin == pytest.approx(START_NS / NS + 12.0, abs=0.02)
+    assert pings.end == pytest.approx(START_NS / NS + 13.0, abs=0.02)
 
 
 # ---------------------------------------------------------------- the numbers

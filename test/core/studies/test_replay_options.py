@@ -61,6 +61,21 @@ def test_a_setting_is_used_and_told(folder: Path) -> None:
     assert document["nis_mean"] < 0.1
 
 
+def test_both_lines_of_the_refused_agree(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The ping before a start under way is told apart, and refused by neither."""
+    document = replayed(folder, "--set", "initial.mode=auto")
+    lines = capsys.readouterr().out.splitlines()
+
+    def told(label: str) -> str:
+        (line,) = (line for line in lines if line.strip().startswith(label))
+        return line.strip().removeprefix(label).strip()
+
+    assert told("DVL rejected") == "0"
+    assert told("refused") == "0.0 % of the DVL"
+    assert told("DVL not judged") == "1 (not_initialised 1)"
+    assert document["dvl_accepted"] + 1 == document["messages"][DVL]
+
+
 def test_the_factor_on_q_is_told_where_it_is_learned(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -131,7 +146,7 @@ def test_a_part_of_a_recording_is_replayed(folder: Path) -> None:
     part = replayed(folder, "--from", "10", "--to", "25")
     assert whole["duration"] == pytest.approx(SECONDS, abs=0.1)
     assert part["duration"] == pytest.approx(15.0, abs=0.1)
-    assert part["dvl_accepted"] + part["dvl_rejected"] == 15
+    assert part["dvl_accepted"] + part["dvl_rejected"] + part["dvl_not_judged"] == 15
     assert replayed(folder, "--from", "20")["duration"] == pytest.approx(10.0, abs=0.1)
 
 

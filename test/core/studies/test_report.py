@@ -181,7 +181,7 @@ def test_every_key_of_the_numbers_is_documented(out: Path) -> None:
     document = json.loads((out / "numbers.json").read_text())
     names = [*document, *document["verdict"]]
     names += [*document["verdict"]["innovations"], *document["verdict"]["withheld"][0]]
-    names = [name for name in names if not name.startswith(("dvl_a", "dvl_r"))]
+    names = [name for name in names if not name.startswith(("dvl_a", "dvl_r", "dvl_not_judged"))]
     assert [name for name in names if f"`{name}`" not in reference] == []
     for table in ("track.csv", "updates.csv", "reference.csv"):
         head = (out / table).read_text().split("\n", 1)[0].split(",")
@@ -339,6 +339,26 @@ def test_names_of_the_recording_cannot_end_the_script(out: Path) -> None:
     made = page.page_of([type(found)("<x>", numbers, found.track, found.updates, found.reference)])
     assert Page(made).open == []
     assert made.count("</script>") == 3
+
+
+def test_an_outage_is_told_with_its_length(out: Path) -> None:
+    """Among the incidents and among the numbers; a result of an earlier version has no outages."""
+    found = read_result(out)
+
+    def made(incidents: list[dict[str, Any]], outages: dict[str, Any] | None) -> str:
+        verdict = {k: v for k, v in found.numbers["verdict"].items() if k != "dvl_outages"}
+        verdict |= {"dvl_outages": outages} if outages else {}
+        numbers = found.numbers | {"incidents": incidents, "verdict": verdict}
+        result = type(found)("x", numbers, found.track, found.updates, found.reference)
+        return page.page_of([result])
+
+    lost = {"name": "dvl outage", "begin": 10.0, "end": 170.0, "count": 1}
+    text = made([lost], {"count": 1, "seconds": 160.0, "longest": 160.0})
+    assert "dvl outage: 1, 160.0 s" in text
+    assert "outages of the DVL (1)" in text and "160 s, the longest 160 s" in text
+    text = made([], None)
+    assert "Nothing: no gap, no outage, no glitch, nothing refused, no restart." in text
+    assert "outages of the DVL" not in text
 
 
 # ---------------------------------------------------------------- the command

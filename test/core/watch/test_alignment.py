@@ -22,6 +22,7 @@ from insdvl.studies.replay.fold import fold_recording
 from insdvl.studies.replay.scores import report
 from insdvl.watch.alignment import check as alignment
 from insdvl.watch.alignment.check import AlignmentCheck
+from insdvl.watch.alignment.outliers import outliers
 
 Array = NDArray[np.float64]
 
@@ -51,6 +52,46 @@ def check(found: Iterable[Event], **parameters: Any) -> list[str]:
 def mission() -> Mission:
     """Two minutes that turn and pitch."""
     return simulate(AUV, SCENARIOS["constant-tableI"], seed=1, duration=125.0, dvl=GOOD_DVL)
+
+
+# ---------------------------------------------------------------- noise of the DVL
+
+
+@pytest.mark.parametrize(
+    ("rate", "probability", "within"), [(1.0, 0.0, 0.15), (1.0, 0.05, 0.15), (5.0, 0.1, 0.06)]
+)
+def test_the_noise_from_ping_to_ping_is_without_outliers(
+    rate: float, probability: float, within: float
+) -> None:
+    """Of metres, in nearly all windows: with them it is 4 to 5 times as large."""
+    dvl = DvlModel(
+        noise_std=np.full(3, 0.1), rate=rate, outlier_probability=probability, outlier_size=3.0
+    )
+    flown = simulate(AUV, constant(GRADES["tactical"].variances()), seed=1, duration=125.0, dvl=dvl)
+    watch = AlignmentCheck(FilterParameters(frame_convention="ned"), thinks=False)
+    watch.add_events(events(flown))
+    found = watch.ping_noise()
+    assert found is not None
+    assert found[0] == pytest.approx(0.1, rel=within)
+
+
+def test_outliers_are_found_and_normal_noise_has_none() -> None:
+    """About a line and a slow curve, which errors of a mount make; windows of unlike length."""
+    rng = np.random.default_rng(7)
+    lines, expected = [], []
+    for k in range(40):
+        t = np.cumsum(rng.uniform(0.8, 1.2, 8 + k))
+        y = np.outer(t, [0.0, 0.3, 9.8]) + 0.5 * np.sin(t / 10.0)[:, None]
+        y += 0.05 * rng.standard_normal(y.shape)
+        lines.append((t, y))
+        expected.append(np.zeros(len(t), bool))
+    assert sum(found.sum() for found in outliers(lines, 1e-3)) == 0
+    for (_, y), is_outlier in zip(lines, expected, strict=True):
+        is_outlier[rng.integers(3, len(y) - 3)] = True
+        y[is_outlier, rng.integers(3)] += 1.0
+    for found, is_outlier in zip(outliers(lines, 1e-3), expected, strict=True):
+        assert found[is_outlier].all()
+        assert not found[3:-3][~is_outlier[3:-3]].any()
 
 
 # ---------------------------------------------------------------- gravity

@@ -12,6 +12,7 @@ from insdvl.navigation.state.layout import gate_counter
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.output import AppliedUpdate
 from insdvl.watch.consistency import nis_median, nis_median_limit, scaled_nis
+from insdvl.watch.outages import LOST, OUTAGE
 from insdvl.watch.state_summary import summary
 from ros_insdvl.status.diagnostics import (
     ERROR,
@@ -27,7 +28,7 @@ from ros_insdvl.status.filter.base import Cause, Published
 
 #: Stamps without an accepted measurement for longer than this are worth a warning; for longer than
 #: the second, the sensor says nothing about the state any more.
-OUTAGE_NS, LOST_NS = 5 * NS, 60 * NS
+OUTAGE_NS, LOST_NS = round(OUTAGE * NS), round(LOST * NS)
 #: Rejections by the gate that are no longer chance.
 GATE_REJECTIONS = 2
 #: NIS of the last measurements that are kept.

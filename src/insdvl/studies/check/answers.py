@@ -11,25 +11,27 @@ from insdvl.navigation.geometry.frames import CONVENTIONS
 from insdvl.studies.check.bias import REST
 from insdvl.studies.check.findings import (
     AXES,
+    CHECK,
     FILTER,
     FIT,
     HEADING,
+    MOST,
     NEEDED,
     NONE,
     PINGS,
     REPLAY,
     SAMPLES,
-    STAMPS,
     START,
     Finding,
+    fatal,
     right_angles,
+    setting,
+    wrong,
 )
 from insdvl.studies.check.inspection import GYROSCOPE_BIAS, Inspection
-from insdvl.studies.check.stamps import StampFacts
+from insdvl.studies.check.timing import stamp_answers
 from insdvl.watch.alignment.check import FEWEST_WINDOWS
 
-#: Share of messages from which a fault makes a recording useless.
-MOST = 0.5
 #: A sigma of the messages is too large from so many times the scatter of the pings on. Errors that
 #: last are not in the scatter, and a driver may count them.
 TOO_UNSURE = 10.0
@@ -39,7 +41,7 @@ def answers(seen: Inspection) -> list[Finding]:
     """All that is to be said, in the order of the questions."""
     found = list(_needed(seen))
     if seen.imu is not None:
-        found += _stamps(seen)
+        found += stamp_answers(seen)
         found += [*_axes(seen), *_start(seen), *_heading(seen), *_samples(seen)]
     if seen.dvl is not None:
         found += _pings(seen)
@@ -48,125 +50,59 @@ def answers(seen: Inspection) -> list[Finding]:
     return found
 
 
-def _fatal(question: str, text: str) -> Finding:
-    return Finding(question, text, wrong=True, fatal=True)
-
-
-def _wrong(question: str, text: str, **values: Any) -> Finding:
-    return Finding(question, text, wrong=True, settings={FILTER: values} if values else NONE)
-
-
-def _setting(question: str, text: str, settings: Mapping[str, Any], node: str = FILTER) -> Finding:
-    return Finding(question, text, wrong=True, settings={node: settings})
-
-
 # ---------------------------------------------------------------- each question
 
 
 def _needed(seen: Inspection) -> Iterator[Finding]:
     sensors, replay = seen.sensors, seen.replay
     if not sensors.imu:
-        yield _fatal(NEEDED, "No topic has the type sensor_msgs/msg/Imu: the filter needs an IMU.")
+        yield fatal(NEEDED, "No topic has the type sensor_msgs/msg/Imu: the filter needs an IMU.")
     elif sensors.imu == replay.imu_topic:
         yield Finding(NEEDED, f"The IMU is on {sensors.imu}.")
     else:
-        yield _setting(
+        yield setting(
             NEEDED,
             f"The IMU is on {sensors.imu}, which imu_topic must name.",
             {"imu_topic": sensors.imu},
             REPLAY,
         )
     if sensors.dvl_row is None:
-        yield _fatal(NEEDED, "No topic has a type of a DVL: the filter needs its velocities.")
+        yield fatal(NEEDED, "No topic has a type of a DVL: the filter needs its velocities.")
     elif sensors.dvl == getattr(replay, sensors.dvl_row.replay_parameter):
         yield Finding(NEEDED, f"The DVL is on {sensors.dvl}.")
     else:
         name = sensors.dvl_row.replay_parameter
-        yield _setting(
+        yield setting(
             NEEDED,
             f"The DVL is on {sensors.dvl}, which {name} must name.",
             {name: sensors.dvl},
             REPLAY,
         )
     for remark in seen.remarks:
-        yield _wrong(NEEDED, f"{remark[0].upper()}{remark[1:]}.")
-    if sensors.rivals:
-        yield Finding(NEEDED, f"Not looked at, of a fitting type: {', '.join(sensors.rivals)}.")
+        yield wrong(NEEDED, f"{remark[0].upper()}{remark[1:]}.")
+    for use, chosen, rivals in (
+        ("IMU", sensors.imu, sensors.imu_rivals),
+        ("DVL", sensors.dvl, sensors.dvl_rivals),
+    ):
+        if rivals:
+            yield wrong(
+                NEEDED,
+                f"{CHECK} that {chosen} is the {use} of this vehicle: {', '.join(rivals)} could "
+                "be, and is not looked at. Name it with imu_topic or dvl_topic of insdvl_replay.",
+            )
     if sensors.pressure and not seen.parameters.depth.topic:
         name = sensors.pressure.lstrip("/")
-        yield _setting(
+        yield setting(
             NEEDED, f"{sensors.pressure} tells the depth.", {"depth.topic": name or DEPTH}
         )
     if seen.place is not None:
         lat, told = seen.place[0], seen.parameters.origin.latitude_deg
         if abs(lat - told) > 1.0:
-            yield _setting(
+            yield setting(
                 NEEDED,
                 f"The first fix is at latitude {lat:.2f} deg, origin.latitude_deg is {told:g}.",
                 {"origin.latitude_deg": round(lat, 2)},
             )
-
-
-def _stamps(seen: Inspection) -> Iterator[Finding]:
-    for topic, use in ((seen.sensors.imu, "IMU"), (seen.sensors.dvl, "DVL")):
-        if topic:
-            yield from _stamps_of(use, seen.stamps[topic])
-    imu = seen.stamps[seen.sensors.imu]
-    told = seen.parameters.imu
-    if "imu.rate" in seen.found:
-        names = [name for name in seen.found if name in ("imu.rate", "imu.max_gap")]
-        yield _setting(
-            STAMPS,
-            f"The IMU has {seen.found['imu.rate']:g} Hz.",
-            {name: seen.found[name] for name in names},
-        )
-    elif imu.rate and abs(imu.rate / told.rate - 1.0) > 0.1:
-        yield _wrong(
-            STAMPS,
-            f"The IMU has {imu.rate:.4g} Hz, imu.rate is {told.rate:g}.",
-            **{"imu.rate": float(f"{imu.rate:.3g}")},
-        )
-    dvl = seen.stamps.get(seen.sensors.dvl)
-    have_stamps = dvl is not None and dvl.rate and imu.rate
-    if dvl is not None and have_stamps and not _overlap(imu, dvl):
-        yield _fatal(STAMPS, "No stamp of the DVL is within those of the IMU: other clocks.")
-
-
-def _overlap(a: StampFacts, b: StampFacts) -> bool:
-    return a.first_ns <= b.last_ns and b.first_ns <= a.last_ns
-
-
-def _stamps_of(use: str, s: StampFacts) -> Iterator[Finding]:
-    if s.unset > MOST * s.count:
-        yield _fatal(STAMPS, f"The {use} does not stamp its messages: {s.unset} stamps are zero.")
-        return
-    faults = [
-        f"{s.gaps} gaps, {s.missing:.3g} s together, the longest {s.longest:.3g} s" * (s.gaps > 0),
-        f"{s.repeated} stamps occur twice" * (s.repeated > 0),
-        f"{s.backward} stamps go back" * (s.backward > 0),
-        f"{s.unset} stamps are zero" * (s.unset > 0),
-    ]
-    faults = [fault for fault in faults if fault]
-    text = f"{use}: {'; '.join(faults) or f'{s.rate or 0.0:.4g} Hz without gaps'}."
-    yield Finding(STAMPS, text, wrong=bool(faults))
-    if s.latency is None:
-        return
-    low, middle, high = (1e3 * seconds for seconds in s.latency)  # ms
-    if s.has_own_clock:
-        yield Finding(STAMPS, f"{use}: stamps and times of recording are of different clocks.")
-    elif middle < -1.0:
-        yield Finding(
-            STAMPS,
-            f"{use}: stamps are {-middle:.1f} ms after the times of recording: the clock of the "
-            "sensor is ahead.",
-            wrong=True,
-        )
-    else:
-        yield Finding(
-            STAMPS,
-            f"{use}: recorded {middle:.1f} ms after its stamps; 5 to 95 %: {low:.1f} to "
-            f"{high:.1f} ms.",
-        )
 
 
 def _axes(seen: Inspection) -> Iterator[Finding]:
@@ -176,7 +112,7 @@ def _axes(seen: Inspection) -> Iterator[Finding]:
     text = f"The mean specific force is {shown} in the axes of the IMU."
     changed = {n: v for n, v in seen.found.items() if n in ("frame_convention", "imu.mount")}
     if changed:
-        yield _setting(AXES, text, changed)
+        yield setting(AXES, text, changed)
     else:
         yield Finding(AXES, text)
     for sentence in seen.gravity:
@@ -199,15 +135,16 @@ def _start(seen: Inspection) -> Iterator[Finding]:
     told = f", the DVL reads {speed:.2f} m/s" if first else ""
     if start.motion > 1.0 or speed > noise:
         text = f"Yes{told}: the filter starts under way, tilt to 3 deg, and needs a DVL velocity."
-    elif start.spread > 1.0:
-        text = f"It stays, but vibrates{told}: biases and heading are not taken from that rest."
-    elif first:
-        text = f"No{told}: levelling and gyroscope biases are taken from the rest."
-    else:
+    elif not first:
+        shown = "that it vibrates" if start.spread > 1.0 else "no motion"
         text = (
-            "Not told: the samples show no motion, and no DVL says whether the vehicle stays or "
+            f"Not told: the samples show {shown}, and no DVL says whether the vehicle stays or "
             "moves steadily."
         )
+    elif start.spread > 1.0:
+        text = f"It stays, but vibrates{told}: biases and heading are not taken from that rest."
+    else:
+        text = f"No{told}: levelling and gyroscope biases are taken from the rest."
     yield Finding(START, text)
 
 
@@ -249,16 +186,16 @@ def _samples(seen: Inspection) -> Iterator[Finding]:
     assert imu is not None
     refused = sum(imu.refused.values())
     if refused > MOST * (refused + imu.count):
-        yield _fatal(SAMPLES, f"Most samples cannot be used: {_counted(imu.refused)}.")
+        yield fatal(SAMPLES, f"Most samples cannot be used: {_counted(imu.refused)}.")
     elif refused:
-        yield _wrong(SAMPLES, f"Samples that cannot be used: {_counted(imu.refused)}.")
+        yield wrong(SAMPLES, f"Samples that cannot be used: {_counted(imu.refused)}.")
     for channel, value in imu.stands.items():
         name = "imu.acceleration_range" if channel[0] == "f" else "imu.rate_range"
         told = seen.parameters.imu
         range_ = told.acceleration_range if channel[0] == "f" else told.rate_range
         unit = "m/s^2" if channel[0] == "f" else "rad/s"
         if not range_ or abs(value) < range_:
-            yield _wrong(
+            yield wrong(
                 SAMPLES,
                 f"{channel} is saturated: it stands at {value:.4g} {unit}.",
                 **{name: _floor(abs(value))},
@@ -274,7 +211,7 @@ def _samples(seen: Inspection) -> Iterator[Finding]:
         (imu.glitches, "with a reading that leaves its neighbours (a glitch)"),
     ):
         if count:
-            yield _wrong(SAMPLES, f"{count} of {imu.count} samples {text}.")
+            yield wrong(SAMPLES, f"{count} of {imu.count} samples {text}.")
     if imu.variance.any():
         f, w = np.sqrt(imu.variance[:3]).max(), np.sqrt(imu.variance[3:]).max()
         yield Finding(
@@ -296,7 +233,7 @@ def _samples(seen: Inspection) -> Iterator[Finding]:
         yield from _bias(seen)
         settings = _noise(seen)
         if settings:
-            yield _setting(
+            yield setting(
                 SAMPLES, "process_noise tells a sigma that is more than 3 times off.", settings
             )
 
@@ -309,9 +246,9 @@ def _bias(seen: Inspection) -> Iterator[Finding]:
             f"{GYROSCOPE_BIAS} tells"
         )
         if bias.is_usable:
-            yield _setting(SAMPLES, f"{text}.", {GYROSCOPE_BIAS: bias.rounded})
+            yield setting(SAMPLES, f"{text}.", {GYROSCOPE_BIAS: bias.rounded})
         else:
-            yield _wrong(SAMPLES, f"{text}. With a speed along one axis it takes {REST}.")
+            yield wrong(SAMPLES, f"{text}. With a speed along one axis it takes {REST}.")
 
 
 def _noise(seen: Inspection) -> dict[str, tuple[float, ...]]:
@@ -334,14 +271,14 @@ def _pings(seen: Inspection) -> Iterator[Finding]:
     assert dvl is not None
     refused = sum(dvl.refused.values())
     if refused > MOST * (refused + dvl.count):
-        yield _fatal(PINGS, f"Most measurements cannot be used: {_counted(dvl.refused)}.")
+        yield fatal(PINGS, f"Most measurements cannot be used: {_counted(dvl.refused)}.")
     elif refused:
-        yield _wrong(PINGS, f"Measurements that cannot be used: {_counted(dvl.refused)}.")
+        yield wrong(PINGS, f"Measurements that cannot be used: {_counted(dvl.refused)}.")
     if dvl.speed is None:
-        yield _wrong(PINGS, "No velocity differs from zero.")
+        yield wrong(PINGS, "No velocity differs from zero.")
     elif dvl.too_fast > MOST * dvl.count:
         unit = f": the unit is {dvl.unit}, convert it to m/s in the driver" if dvl.unit else ""
-        yield _fatal(
+        yield fatal(
             PINGS,
             f"The median speed is {dvl.speed[0]:.4g} m/s, dvl.max_speed is "
             f"{seen.parameters.dvl.max_speed:g}{unit}.",
@@ -351,14 +288,14 @@ def _pings(seen: Inspection) -> Iterator[Finding]:
             PINGS, f"Speeds: {dvl.speed[0]:.3g} m/s in the median, {dvl.speed[1]:.3g} at most."
         )
         if dvl.too_fast:
-            yield _wrong(PINGS, f"{dvl.too_fast} of {dvl.count} are beyond dvl.max_speed: refused.")
+            yield wrong(PINGS, f"{dvl.too_fast} of {dvl.count} are beyond dvl.max_speed: refused.")
     for count, text in (
         (dvl.zeros, "are exactly zero: no bottom lock, or a vehicle at rest"),
         (dvl.repeats, "repeat the one before: no bottom lock, or a coarse resolution"),
         (dvl.partial, "lack a component"),
     ):
         if count:
-            yield _wrong(PINGS, f"{count} of {dvl.count} {text}.")
+            yield wrong(PINGS, f"{count} of {dvl.count} {text}.")
     if dvl.told is not None:
         yield Finding(PINGS, f"The messages tell a sigma of {dvl.told:.2g} m/s.")
     if dvl.scatter is not None and np.nansum(dvl.scatter) > 0.0:
@@ -368,7 +305,7 @@ def _pings(seen: Inspection) -> Iterator[Finding]:
         of_messages = dvl.told or 0.0
         unsure = of_messages > TOO_UNSURE * max(largest, told.noise_floor)
         if unsure and told.covariance != "parameters":
-            yield _setting(
+            yield setting(
                 PINGS,
                 f"That is less than a tenth of the sigma of the messages, which dvl.covariance "
                 f"{told.covariance!r} takes: 'parameters' takes dvl.noise_std.",

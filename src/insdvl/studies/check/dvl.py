@@ -9,10 +9,10 @@ import numpy as np
 from insdvl.arrays import Array
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.watch.alignment.causes import UNITS
+from insdvl.watch.alignment.outliers import MEDIAN, OUTLIER
 
 ORDER = 3  # of the differences that the noise is taken from
 FEWEST = 10  # of them
-MEDIAN = 0.6745  # of the size of a normal variable, in its sigma
 #: Speeds that a vehicle with a DVL has [m/s], to guess the unit from.
 USUAL = (0.05, 5.0)
 
@@ -116,7 +116,9 @@ def _scatter(stamps_ns: Array, v: Array) -> Array | None:
 def _noise(stamps_ns: Array, x: Array) -> float:
     """One sigma of white noise, by the median size of third differences of regular pings.
 
-    The median leaves turns and changes of speed out, which are rare. It is nan for too few.
+    The median leaves turns and changes of speed out, which are rare. An outlier is in four
+    differences, which would move it: those of more than `OUTLIER` sigmas are left out. It is nan
+    for too few.
     """
     if len(x) <= ORDER:
         return np.nan
@@ -125,4 +127,5 @@ def _noise(stamps_ns: Array, x: Array) -> float:
     sizes = np.abs(np.diff(x, n=ORDER))[usual[2:] & usual[1:-1] & usual[:-2]]
     if len(sizes) < FEWEST:
         return np.nan
+    sizes = sizes[sizes <= OUTLIER * np.median(sizes) / MEDIAN]
     return float(np.median(sizes) / MEDIAN / np.sqrt(comb(2 * ORDER, ORDER)))

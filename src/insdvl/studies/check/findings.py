@@ -21,6 +21,10 @@ NEEDED, STAMPS, AXES, START, HEADING, SAMPLES, PINGS, FIT = (
     "Do IMU and DVL fit each other?",
 )
 QUESTIONS = (NEEDED, STAMPS, AXES, START, HEADING, SAMPLES, PINGS, FIT)
+#: Marks what a recording does not tell.
+CHECK = "CHECK"
+#: Share of a recording from which a fault makes it useless.
+MOST = 0.5
 NONE: Mapping[str, Mapping[str, Any]] = MappingProxyType({})
 
 
@@ -41,6 +45,21 @@ class Finding:
     wrong: bool = False
     fatal: bool = False
     settings: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: NONE)
+
+
+def fatal(question: str, text: str) -> Finding:
+    """What no parameter mends."""
+    return Finding(question, text, wrong=True, fatal=True)
+
+
+def wrong(question: str, text: str, **values: Any) -> Finding:
+    """What is wrong, with the parameters of the filter to set."""
+    return Finding(question, text, wrong=True, settings={FILTER: values} if values else NONE)
+
+
+def setting(question: str, text: str, settings: Mapping[str, Any], node: str = FILTER) -> Finding:
+    """What parameters mend, those of a node."""
+    return Finding(question, text, wrong=True, settings={node: settings})
 
 
 def is_usable(found: Sequence[Finding]) -> bool:

@@ -7,8 +7,9 @@ from insdvl.files import check_writable, write
 from insdvl.parameters.settings import settings
 from insdvl.studies.check.answers import answers
 from insdvl.studies.check.command import GROUPS, looked_at, parameters_of
+from insdvl.studies.check.findings import CHECK
 from insdvl.studies.document import check_place, tell
-from insdvl.studies.init.template import CHECK, parameter_file, parameter_lines
+from insdvl.studies.init.template import parameter_file, parameter_lines
 
 
 def run(arguments: argparse.Namespace) -> int:

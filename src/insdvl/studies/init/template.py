@@ -9,13 +9,11 @@ import numpy as np
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.simulation.grades import GRADES, Grade
 from insdvl.studies.check.bias import REST
-from insdvl.studies.check.findings import FILTER, REPLAY, Finding, right_angles, settings_of
+from insdvl.studies.check.findings import CHECK, FILTER, REPLAY, Finding, right_angles, settings_of
 from insdvl.studies.check.imu import NAMES
 from insdvl.studies.check.inspection import GYROSCOPE_BIAS, Inspection
 from insdvl.studies.report.parameter_page import yaml_value
 
-#: Marks what a recording does not tell.
-CHECK = "CHECK"
 _HOUR = 3600.0  # s, in which a bias wanders by a third of its turn-on sigma
 _HEADER = f"""\
 # From {{name}} by `insdvl init`; for `insdvl replay --config` and, as --params-file, for the nodes.
@@ -167,8 +165,14 @@ def _replay(seen: Inspection) -> Iterator[Line]:
     """The topics."""
     sensors = seen.sensors
     assert sensors.dvl_row is not None
-    yield Line("imu_topic", sensors.imu, "sensor_msgs/msg/Imu")
+    imu_kind, dvl_kind = (seen.topics[name].type for name in (sensors.imu, sensors.dvl))
+    yield Line("imu_topic", sensors.imu, _among(imu_kind, sensors.imu_rivals))
     name = sensors.dvl_row.replay_parameter
-    yield Line(name, sensors.dvl, seen.topics[sensors.dvl].type)
+    yield Line(name, sensors.dvl, _among(dvl_kind, sensors.dvl_rivals))
     if sensors.odometry:
         yield Line("ground_truth_topic", sensors.odometry, f"{CHECK}: a reference, for the errors")
+
+
+def _among(kind: str, rivals: Sequence[str]) -> str:
+    """The type, and what else the sensor could be."""
+    return f"{CHECK}: or {', or '.join(rivals)}; {kind}" if rivals else kind

@@ -1,13 +1,17 @@
-"""What went wrong in a replay, and when: refused measurements, gaps, glitches, restarts, jumps."""
+"""What went wrong in a replay, and when: refusals, outages, gaps, glitches, restarts, jumps."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from insdvl.messages.refusals import NO_SAMPLE
+from insdvl.messages.topics import IMU
 from insdvl.navigation.events import NS
+from insdvl.studies.judgement.outages import outages_of
 from insdvl.studies.replay.fold import Replayed
 from insdvl.studies.replay.part import Part
+from insdvl.watch.outages import OUTAGE
 
 #: What happens again within this time is one incident [s].
 TOGETHER = 5.0
@@ -20,7 +24,8 @@ class Incident:
     """Something that went wrong.
 
     Attributes:
-        name: Of a counter, or ``measurement refused: reason``.
+        name: Of a counter, or ``measurement refused: reason``, ``topic refused: reason``, ``time
+            jump``, ``dvl outage`` or ``imu outage``.
         begin: Stamp [s].
         end: Stamp [s].
         count: How often.
@@ -36,13 +41,18 @@ def incidents_of(replayed: Replayed) -> list[Incident]:
     """All incidents in the order of their beginning."""
     found: list[Incident] = []
     for part in replayed.parts:
-        for name, stamps_ns, counts in _of_part(part):
+        for name, stamps_ns, counts in _of_part(part, replayed.measurements):
             found += _together(name, stamps_ns, counts)
     found += _jumps(replayed)
+    outages = outages_of(replayed)
+    for name, of_sensor in (("dvl outage", outages.dvl), ("imu outage", outages.imu)):
+        found += [Incident(name, outage.begin, outage.end, 1) for outage in of_sensor]
     return sorted(found, key=lambda incident: incident.begin)
 
 
-def _of_part(part: Part) -> Iterator[tuple[str, list[int], list[int]]]:
+def _of_part(
+    part: Part, measurements: Mapping[str, str]
+) -> Iterator[tuple[str, list[int], list[int]]]:
     """Name, stamps and numbers of what happened at them."""
     for name, (stamps_ns, counts) in part.steps.items():
         yield name, stamps_ns, counts
@@ -51,8 +61,16 @@ def _of_part(part: Part) -> Iterator[tuple[str, list[int], list[int]]]:
         if not update.report.accepted and update.report.reason != "not_initialised":
             name = f"{update.report.measurement} refused: {update.report.reason}"
             refused.setdefault(name, []).append(update.stamp_ns)
+    for key in part.refused_ns:
+        came_ns = part.refused_ns[key].tolist()
+        # The pings of the last moment wait for samples at the end of every recording.
+        is_end = key.reason == NO_SAMPLE and part.silent[1] <= OUTAGE
+        if not came_ns or is_end:
+            continue
+        sensor = key.topic if key.topic == IMU else measurements.get(key.topic, key.topic)
+        refused.setdefault(f"{sensor} refused: {key.reason}", []).extend(came_ns)
     for name, stamps in refused.items():
-        yield name, stamps, [1] * len(stamps)
+        yield name, sorted(stamps), [1] * len(stamps)
 
 
 def _together(name: str, stamps_ns: list[int], counts: list[int]) -> list[Incident]:

@@ -15,10 +15,8 @@ from insdvl.studies.replay.fold import Replayed
 
 
 def refusals(document: dict[str, Any]) -> Counter[str]:
-    """Refused measurements of the DVL by reason; before the start there is nothing to refuse."""
-    reasons = Counter(document["dvl_rejected_by_reason"])
-    reasons.pop("not_initialised", None)
-    return reasons
+    """Refused measurements of the DVL by reason, without those that nothing could judge."""
+    return Counter(document["dvl_rejected_by_reason"])
 
 
 def by_name(document: dict[str, Any]) -> Counter[str]:

@@ -7,7 +7,7 @@ recording.
 
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -38,6 +38,7 @@ from insdvl.studies.judgement.numbers import (
     refusals,
     refused_share,
 )
+from insdvl.studies.judgement.outages import Outage, of_dvl_outages, of_imu_outages, outages_of
 from insdvl.studies.judgement.pose import against_reference, of_pose, of_velocity
 from insdvl.studies.judgement.withheld import WINDOWS, Withheld, predictions
 from insdvl.studies.replay.fold import Replayed
@@ -103,7 +104,9 @@ def verdict(replayed: Replayed, parameters: FilterParameters, document: dict[str
     claims, start = list(_of_claims(document, filter_)), list(_of_start(document))
     # Without most of the DVL neither heading nor position can be found: then that is the cause.
     is_cause = 2 * by_name(document).total() > judged_count(document)
-    findings = [*_of_axes(replayed), *diverged, *(claims if is_cause else [])]
+    outages = outages_of(replayed)
+    findings = [*_of_axes(replayed), *diverged, *of_imu_outages(outages)]
+    findings += [*(claims if is_cause else []), *of_dvl_outages(outages)]
     if is_meaningful:
         findings += of_pose(reference, document, parameters)
     findings += [*start, *([] if is_cause else claims)]
@@ -120,6 +123,7 @@ def verdict(replayed: Replayed, parameters: FilterParameters, document: dict[str
     numbers = {
         "innovations": innovations,
         "refused_share": refused_share(document),
+        "dvl_outages": outages.numbers,
         "biases": biases(filter_, replayed),
         "position": position(replayed),
         "reference": asdict(reference) if reference else None,
@@ -129,7 +133,7 @@ def verdict(replayed: Replayed, parameters: FilterParameters, document: dict[str
         "withheld": [asdict(w) for w in withheld],
         "findings": [asdict(finding) for finding in findings],
     }
-    judgement = _judgement(findings, innovations, mount, noise, document)
+    judgement = _judgement(findings, innovations, mount, noise, document, outages.dvl)
     return Verdict(findings, judgement, finite(numbers | {"judgement": judgement}))
 
 
@@ -139,6 +143,7 @@ def _judgement(
     mount: Mount | None,
     noise: DvlNoise | None,
     document: dict[str, Any],
+    outages: Sequence[Outage] = (),
 ) -> str:
     if findings:
         more = f" ({len(findings) - 1} more above)" if len(findings) > 1 else ""
@@ -151,6 +156,8 @@ def _judgement(
     text = "FITS: nothing in the innovations contradicts the configuration"
     if _differs(noise):
         text += "; NIS is small, as the noise of the DVL is told with errors that last"
+    if outages:
+        text += f"; the DVL was not used for {sum(o.seconds for o in outages):.0f} s"
     if hidden := ", ".join(_not_shown(mount)):
         text += f"; not seen by this motion: {hidden}; turns, dives and changes of speed show it"
     return text

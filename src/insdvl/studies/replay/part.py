@@ -1,10 +1,12 @@
 """What is kept of one time of a recording, between two time jumps."""
 
+from array import array
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from insdvl.arrays import Array, Records, Stamps
+from insdvl.messages.refusals import Refused
 from insdvl.navigation.events import NS
 from insdvl.navigation.filter import LAYOUT, Filter
 from insdvl.navigation.state.fields import State
@@ -38,6 +40,25 @@ class Travelled:
         self._before = int(times_ns[-1]), float(speeds[-1])
 
 
+class Pace:
+    """The speed once in a second.
+
+    Attributes:
+        times_ns: Stamps.
+        speeds: Of base_link [m/s].
+    """
+
+    def __init__(self) -> None:
+        self.times_ns, self.speeds = array("q"), array("d")
+
+    def add(self, times_ns: Stamps, speeds: Array) -> None:
+        """The next stamps (N,) and speeds (N,) [m/s]."""
+        before = self.times_ns[-1] // NS if self.times_ns else -1
+        at = np.flatnonzero(np.diff(times_ns // NS, prepend=before))
+        self.times_ns.extend(times_ns[at].tolist())
+        self.speeds.extend(speeds[at].tolist())
+
+
 @dataclass
 class Part:
     """What is kept of one time.
@@ -52,6 +73,12 @@ class Part:
         updates: The measurements, in the order of stamps.
         steps: Stamps at which a counter was raised and by how much, by the name of the counter.
         travelled: By base_link.
+        pace: The speed while the state was known.
+        clock_ns: Stamp of the newest sample less the time at which it was recorded; None before.
+        refused_ns: When the messages came that are not used, by topic and reason, on the clock of
+            the samples: their own stamps may be nonsense, and the recorder has another clock.
+        silent: Time between the first message and the first sample, and between the last sample
+            and the last message, by the clock of the recorder [s].
     """
 
     filter: Filter
@@ -63,6 +90,48 @@ class Part:
     updates: list[AppliedUpdate] = field(default_factory=list)
     steps: dict[str, tuple[list[int], list[int]]] = field(default_factory=dict)
     travelled: Travelled = field(default_factory=Travelled)
+    pace: Pace = field(default_factory=Pace)
+    clock_ns: int | None = None
+    refused_ns: dict[Refused, "array[int]"] = field(default_factory=dict)
+
+    silent: tuple[float, float] = (0.0, 0.0)
+    _recorded_ns: tuple[int, int] | None = None  # first message, last sample
+
+    def refuse(self, key: Refused, time_ns: int) -> int:
+        """Keep when a message was recorded that is not used; returns it on the samples' clock."""
+        stamp_ns = time_ns + (self.clock_ns or 0)
+        self.refused_ns.setdefault(key, array("q")).append(stamp_ns)
+        return stamp_ns
+
+    def heard(self, time_ns: int) -> None:
+        """A message was recorded at this time."""
+        if self._recorded_ns is None:
+            self._recorded_ns = time_ns, time_ns
+        if self.clock_ns is not None:
+            self.silent = self.silent[0], (time_ns - self._recorded_ns[1]) / NS
+
+    def sampled(self, stamp_ns: int, first_ns: int, last_ns: int) -> None:
+        """Samples were taken.
+
+        Args:
+            stamp_ns: Of the newest of them.
+            first_ns: When the first one was recorded.
+            last_ns: When the last one was recorded.
+        """
+        self.heard(first_ns)
+        assert self._recorded_ns is not None
+        clock_ns = stamp_ns - last_ns
+        if self.clock_ns is None:
+            self.silent = (first_ns - self._recorded_ns[0]) / NS, 0.0
+            for key, times in self.refused_ns.items():  # they came before the clock was known
+                self.refused_ns[key] = array("q", (time_ns + clock_ns for time_ns in times))
+        self.clock_ns, self._recorded_ns = clock_ns, (self._recorded_ns[0], last_ns)
+        self.silent = self.silent[0], 0.0
+
+    @property
+    def last_ns(self) -> int:
+        """Stamp of the last state; 0 where there is none."""
+        return int(self.end[0]["nav"]["time_ns"]) if len(self.end) else 0
 
     def take(self, final: Final) -> None:
         """What follows."""
@@ -83,7 +152,9 @@ class Part:
             self.known_ns, self.known = (first_ns, int(times_ns[-1])), known[-1:].copy()
             if not follows:
                 self.travelled.begin()
-            self.travelled.add(times_ns, _speeds(self.filter, known["nav"]))
+            speeds = _speeds(self.filter, known["nav"])
+            self.travelled.add(times_ns, speeds)
+            self.pace.add(times_ns, speeds)
             follows = False
         if not nav["initialised"][-1]:
             self.travelled.begin()

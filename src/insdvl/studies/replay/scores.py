@@ -8,6 +8,7 @@ import numpy as np
 
 from insdvl.arrays import Stamps
 from insdvl.files import finite
+from insdvl.messages.refusals import NO_SAMPLE
 from insdvl.messages.topics import IMU
 from insdvl.navigation.events import NS
 from insdvl.navigation.filter import Filter
@@ -27,6 +28,8 @@ from insdvl.watch.start import large_biases, report_of_start
 from insdvl.watch.state_summary import summary
 
 DVL = Dvl.name
+#: Reasons for which there was nothing to judge a measurement by: no state yet, no sample any more.
+NOT_JUDGED = ("not_initialised", NO_SAMPLE)
 LAGS = 10  # of the autocorrelation
 
 
@@ -104,9 +107,10 @@ def _mean(values: Sequence[float]) -> float | None:
 
 
 def _updates_of(name: str, replayed: Replayed) -> dict[str, Any]:
-    """How many updates of a measurement were accepted and rejected, and its mean NIS.
+    """What became of all recorded messages of a measurement, and its mean NIS.
 
-    The NIS of the DVL is among the numbers of `errors_at`.
+    They were accepted, rejected, or not judged, since the filter had no state yet or no sample any
+    more. The NIS of the DVL is among the numbers of `errors_at`.
     """
     reports = [u.report for u in replayed.updates if u.report.measurement == name]
     reasons = Counter(report.reason for report in reports if not report.accepted)
@@ -114,10 +118,14 @@ def _updates_of(name: str, replayed: Replayed) -> dict[str, Any]:
         # What is refused on the topic of the IMU is the sample; of its measurement, by its name.
         if topic == name or (topic != IMU and replayed.measurements.get(topic) == name):
             reasons[reason] += count
+    rejected = {reason: count for reason, count in reasons.items() if reason not in NOT_JUDGED}
+    not_judged = {reason: count for reason, count in reasons.items() if reason in NOT_JUDGED}
     numbers: dict[str, Any] = {
         f"{name}_accepted": sum(report.accepted for report in reports),
-        f"{name}_rejected": sum(reasons.values()),
-        f"{name}_rejected_by_reason": dict(reasons),
+        f"{name}_rejected": sum(rejected.values()),
+        f"{name}_rejected_by_reason": rejected,
+        f"{name}_not_judged": sum(not_judged.values()),
+        f"{name}_not_judged_by_reason": not_judged,
     }
     if name != DVL:
         numbers[f"{name}_nis_mean"] = _mean([scaled_nis(r) for r in reports if r.judged])
@@ -150,6 +158,7 @@ def report(replayed: Replayed) -> dict[str, Any]:
         "imu_samples": sum(part.size for part in replayed.parts),
         "first_stamp": begin_ns / NS if last.known_ns else None,
         "duration": float(end_ns - begin_ns) / NS,
+        "messages": dict(replayed.messages),
         "counts": replayed.fold.counts,
         "rejected": {str(key): count for key, count in replayed.refused.items()},
         "frames": replayed.findings,

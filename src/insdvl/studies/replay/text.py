@@ -24,6 +24,7 @@ _ALWAYS = (
     ("mean NIS, accepted only", "nis_mean_accepted", ""),
     ("DVL accepted", "dvl_accepted", ""),
     ("DVL rejected", "dvl_rejected", ""),
+    ("DVL not judged", "dvl_not_judged", ""),
     ("process noise", "process_noise", ""),
     ("factor on it at the end", FACTOR, ""),
 )
@@ -55,6 +56,8 @@ def table_of(document: dict[str, Any]) -> Iterator[Line]:
         shown = "unknown" if value is None else value
         if isinstance(value, float):
             shown = f"{value:.4g}"
+        if by_reason := document.get(f"{name}_by_reason"):
+            shown = f"{value} ({', '.join(f'{reason} {n}' for reason, n in by_reason.items())})"
         yield Line(text, f"{shown} {unit}".rstrip())
     if noise := document["dvl_noise_in_force"]:
         yield from _noise_in_force(noise)
@@ -152,6 +155,13 @@ def _numbers(document: dict[str, Any], numbers: dict[str, Any]) -> Iterator[tupl
     if (share := numbers["refused_share"]) is not None:
         by = ", ".join(f"{name} {count}" for name, count in refusals(document).items())
         yield "refused", f"{100.0 * share:.1f} % of the DVL" + (f" ({by})" if by else "")
+    if (outages := numbers["dvl_outages"])["count"]:
+        yield (
+            "outages of the DVL",
+            f"{outages['count']}, together {outages['seconds']:.0f} s, the longest "
+            f"{outages['longest']:.0f} s; {outages['lost_under_way']:.0f} of "
+            f"{outages['under_way']:.0f} s under way",
+        )
     if innovations:
         yield (
             "correlation",

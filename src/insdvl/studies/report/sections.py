@@ -57,6 +57,10 @@ def _numbers(document: dict[str, Any], verdict: dict[str, Any]) -> list[tuple[st
         ]
     if verdict["refused_share"] is not None:
         rows.append(("DVL refused", f"{100.0 * verdict['refused_share']:.1f} %", "0.1 %"))
+    outages = verdict.get("dvl_outages")  # a result of an earlier version has none
+    if outages and outages["count"]:
+        lost = f"{outages['seconds']:.0f} s, the longest {outages['longest']:.0f} s"
+        rows.append((f"outages of the DVL ({outages['count']})", lost, ""))
     if noise := verdict["dvl_noise"]:
         rows.append(
             (
@@ -154,7 +158,9 @@ def incidents(result: Result) -> Part:
     """A bar for each incident over time."""
     found = result.numbers["incidents"]
     if not found:
-        return Part("<p>Nothing: no gap, no glitch, nothing refused, no restart.</p>", [])
+        return Part(
+            "<p>Nothing: no gap, no outage, no glitch, nothing refused, no restart.</p>", []
+        )
     names = list(dict.fromkeys(incident["name"] for incident in found))
     traces = []
     for name in names:
@@ -163,7 +169,8 @@ def incidents(result: Result) -> Part:
         for incident in (i for i in found if i["name"] == name):
             begin, end = incident["begin"] - result.start, incident["end"] - result.start
             x += [begin, max(end, begin + 1e-3), None]
-            texts += [f"{name}: {incident['count']}"] * 3
+            lasted = f", {end - begin:.1f} s" if end > begin else ""
+            texts += [f"{name}: {incident['count']}{lasted}"] * 3
         traces.append(
             {
                 "type": "scatter",

@@ -30,14 +30,13 @@ from insdvl.tuner.features.differences import integrated_variances
 from insdvl.watch.alignment.causes import Miswired, miswired
 from insdvl.watch.alignment.gravity import GravityCheck
 from insdvl.watch.alignment.rows import SIZE, Mounted, rows
-from insdvl.watch.alignment.search import Explanation, Motion, Samples, Search
+from insdvl.watch.alignment.search import FEWEST_PINGS, Explanation, Motion, Samples, Search
 from insdvl.watch.alignment.sentences import Alignment, Remedy, Terms
-from insdvl.watch.alignment.windows import SLOW, integrated
+from insdvl.watch.alignment.windows import integrated
 
 WINDOW_NS = 20 * NS  # long enough for a turn, short enough for a noisy gyroscope
 WINDOWS = 30  # number of windows that are kept: 10 minutes
 FEWEST_WINDOWS = 5
-PINGS = SLOW[-1] + 2  # DVL measurements that a window must have: one more than its polynomials
 SPACING_NS = WINDOW_NS // 100  # smallest time between two that are used
 PAUSE_NS = 5 * NS  # a longer time without any ends the window
 EVERY = 3  # windows after which an explanation is made again
@@ -262,7 +261,7 @@ class AlignmentCheck:
 
     def _close(self) -> None:
         """Keep the window."""
-        if len(self._pings) < PINGS:
+        if len(self._pings) < FEWEST_PINGS:
             return
         stamps = np.array([stamp_ns for stamp_ns, _ in self._pings])
         ends = self._stamps[: self._size]

@@ -5,6 +5,7 @@ from collections.abc import Generator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from insdvl.arrays import Array, Stamps
 from insdvl.navigation.events import NS
@@ -22,9 +23,11 @@ from insdvl.watch.alignment.estimation import (
     linear_spread,
 )
 from insdvl.watch.alignment.gravity import GRAVITY
+from insdvl.watch.alignment.outliers import outliers
 from insdvl.watch.alignment.rows import MOUNT, SCALE, SIZE, Mounted, rows
 from insdvl.watch.alignment.windows import SLOW, Bases, Noise, Window, integrated
 
+FEWEST_PINGS = SLOW[-1] + 2  # of a window: one more than its polynomials
 SMALLEST = 1e-3  # m/s, noise of a DVL; none is better
 ACCUSED = 2.0 * math.log(1e4)  # twice the log of the odds against right parameters
 AS_GOOD = 2.0 * math.log(1e2)  # of the odds up to which another cause is named as well
@@ -52,6 +55,19 @@ class Samples:
         if cause is not None:
             f, w, v_d = f @ cause.accelerometer.T, w @ cause.gyroscope.T, v_d @ cause.dvl.T
         return integrated(self.stamps, f, w, self.pings, v_d, self.average)
+
+    def without(self, is_left_out: NDArray[np.bool_]) -> "Samples":
+        """The same without some pings (K,), from the first that stays on."""
+        pings = self.pings[~is_left_out]
+        since = slice(int(np.searchsorted(self.stamps, pings[0], side="right")), None)
+        return replace(
+            self,
+            stamps=self.stamps[since],
+            f=self.f[since],
+            w=self.w[since],
+            pings=pings,
+            v_d=self.v_d[~is_left_out],
+        )
 
 
 class Motion:
@@ -221,10 +237,11 @@ class Search:
     def ping_noise(self, motions: Sequence[Motion]) -> tuple[float, float]:
         """Sigma of the DVL's noise from ping to ping [m/s], and its own sigma.
 
-        It is the median over the windows, so outliers in a few of them do not count. The variance
-        of n residuals is known to 2 / n of its square, by a median to pi / n. The unknowns are
-        free: what a mount that is not told makes of the motion is no noise.
+        It is the median over the windows, without outliers: one in each window would be in all of
+        them. The variance of n residuals is known to 2 / n of its square, by a median to pi / n.
+        The unknowns are free: what a mount that is not told makes of the motion is no noise.
         """
+        motions = self._without_outliers(motions)
         noise = self.free(motions, None).noise
         dof = noise.dof - 3.0 * len(SLOW)
         shares = (
@@ -235,6 +252,18 @@ class Search:
         variance = max(rest - of_imu, SMALLEST**2)
         of_variance = rest * math.sqrt(math.pi / float(dof.sum()))
         return math.sqrt(variance), of_variance / (2.0 * math.sqrt(variance))
+
+    def _without_outliers(self, motions: Sequence[Motion]) -> Sequence[Motion]:
+        """The windows that have pings enough left without their outliers."""
+        here = np.zeros(SIZE)
+        lines = [(m.window.t, rows(m.window, self.known, here)[..., -1]) for m in motions]
+        found = outliers(lines, SMALLEST)
+        left = [
+            Motion(motion.samples.without(is_outlier)) if is_outlier.any() else motion
+            for motion, is_outlier in zip(motions, found, strict=True)
+            if len(is_outlier) - is_outlier.sum() >= FEWEST_PINGS
+        ]
+        return left or motions
 
     def _climb(self, motions: Sequence[Motion], cause: Miswired) -> Array:
         """Row (16,) of the vehicle's climb when a cause is taken for right."""
