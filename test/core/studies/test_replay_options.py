@@ -208,7 +208,7 @@ def test_all_that_is_wrong_with_a_call_is_told_together(
     values = ("--set", "gate.probability=7", "--set", "gate.probabilty=7")
     replayed(folder, *values, code=2)
     unknown, range_ = capsys.readouterr().err.splitlines()
-    assert "did you mean gate.probability?" in unknown and "must be > 0.5 and <= 1" in range_
+    assert "did you mean gate.probability?" in unknown and "must be > 0.5 and <= 0.9999" in range_
 
 
 def test_a_part_is_checked_made_a_file_of_and_exported(
