@@ -17,6 +17,7 @@ from insdvl.files import finite
 from insdvl.navigation.filter import Filter
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
+from insdvl.navigation.start.automatic import USEFUL_HEADING
 from insdvl.studies.judgement.finding import Finding
 from insdvl.studies.judgement.innovations import FACTOR, FEWEST, SIGMAS, statistics
 from insdvl.studies.judgement.mounting import (
@@ -107,15 +108,23 @@ def verdict(replayed: Replayed, parameters: FilterParameters, document: dict[str
     outages = outages_of(replayed)
     findings = [*_of_axes(replayed), *diverged, *of_imu_outages(outages)]
     findings += [*(claims if is_cause else []), *of_dvl_outages(outages)]
+    prediction: list[Finding] = []
     if is_meaningful:
-        findings += of_pose(reference, document, parameters)
+        prediction = list(_of_prediction(innovations, noise, withheld, parameters, imu))
+        pose = list(of_pose(reference, document, parameters))
+        # A Q that is too small makes errors of the pose beyond its sigma, but no heading far off.
+        is_far = reference and reference.heading and reference.heading.rmse > USEFUL_HEADING
+        if pose and not is_far and any(not finding.cautious for finding in prediction):
+            findings += prediction
+            prediction = []
+        findings += pose
     findings += [*start, *([] if is_cause else claims)]
     if is_meaningful:
         findings += [
             *_of_dvl_noise(noise, parameters),
             *_of_mount(mount, parameters),
             *_of_gate(document, innovations, filter_),
-            *_of_prediction(innovations, noise, withheld, parameters, imu),
+            *prediction,
             *_of_biases(document),
             *_of_whiteness(innovations, noise),
             *of_velocity(document),
