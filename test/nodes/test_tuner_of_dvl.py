@@ -122,6 +122,7 @@ def test_pings_that_cannot_be_used_are_counted_and_nothing_is_told_of_them(graph
         ("pings_incomplete", "50 with a component that is not measured"),
         ("pings_without_lock", "50 zero, repeated or not finite"),
         ("pings_out_of_order", "50 not newer than the one before"),
+        ("pings_far_ahead", "50 far ahead of the IMU's stamps"),
         ("pings_without_samples", "50 without IMU samples around them"),
     ],
 )

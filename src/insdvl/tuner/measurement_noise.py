@@ -29,11 +29,14 @@ from insdvl.tuner.parameters import TunerParameters
 #: The turn rate for the arm is that of a line through the samples of this time.
 _TURN_NS = NS // 4
 _LONGEST_NS = round(window.LONGEST * NS)
+#: A ping may be so far ahead of the samples, which come in queues of their own.
+_AHEAD_NS = 10 * NS
 #: Counts of pings that tell nothing, see `DvlTuner`.
 UNUSED = (
     "pings_incomplete",
     "pings_without_lock",
     "pings_out_of_order",
+    "pings_far_ahead",
     "pings_without_samples",
 )
 #: Pings that wait for their samples, at most.
@@ -78,8 +81,8 @@ class DvlTuner:
     Attributes:
         counts: Pings that were used (``pings``) and that were not: with a component that was not
             measured (``pings_incomplete``), exact zeros or a repetition (``pings_without_lock``),
-            late ones (``pings_out_of_order``), and those without samples
-            (``pings_without_samples``).
+            late ones (``pings_out_of_order``), those far ahead of the samples
+            (``pings_far_ahead``), and those without samples (``pings_without_samples``).
     """
 
     def __init__(self, parameters: TunerParameters) -> None:
@@ -122,6 +125,8 @@ class DvlTuner:
                 self._pings.clear()
                 self._squares.clear()
                 self._last = None
+        if not self._samples:
+            self._leave_far_ahead(stamp_ns)
         C = self._C_b_i
         self._samples.append((stamp_ns, C @ sample.f_b, C @ sample.w_ib_b))
         while stamp_ns - self._samples[0][0] > _LONGEST_NS + _TURN_NS:
@@ -144,8 +149,17 @@ class DvlTuner:
         if newest is not None and np.array_equal(ping.v_d, newest.v_d):
             self.counts["pings_without_lock"] += 1
             return []
+        if self._samples and _is_far_ahead(ping, self._samples[-1][0]):
+            self.counts["pings_far_ahead"] += 1
+            return []
         self._waiting.append(ping)
         return list(self._tune())
+
+    def _leave_far_ahead(self, stamp_ns: int) -> None:
+        """Of the pings that have waited for a first sample, leave out those far ahead of it."""
+        near = [ping for ping in self._waiting if not _is_far_ahead(ping, stamp_ns)]
+        self.counts["pings_far_ahead"] += len(self._waiting) - len(near)
+        self._waiting = deque(near, maxlen=_MOST_WAITING)
 
     def _tune(self) -> Iterator[TunedSensorNoise]:
         """The estimates of the pings that have their samples."""
@@ -207,6 +221,11 @@ class DvlTuner:
         seen = np.ones(len(stamps), np.bool_)
         rate_at(stamps, w_ib_b, seen, k, at_ns, _TURN_NS, np.zeros(3), rate, np.empty(3))
         return rate
+
+
+def _is_far_ahead(ping: Dvl, stamp_ns: int) -> bool:
+    """Whether a ping has a wrong stamp: it would make all pings until there late."""
+    return ping.stamp_ns - stamp_ns > _AHEAD_NS
 
 
 def _leg(

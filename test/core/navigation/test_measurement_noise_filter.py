@@ -15,11 +15,12 @@ from insdvl.navigation.parameters import (
     OriginParameters,
     ProcessNoiseParameters,
 )
+from insdvl.navigation.state.fields import NEVER
 from insdvl.simulation.initial_errors import P_0, drawn_initial
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import constant
 from insdvl.simulation.sensors.dvl import DvlModel
-from insdvl.simulation.trajectories import AUV
+from insdvl.simulation.trajectories import AUV, STATIC
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.output import FoldResult
 from insdvl.timeline.recorded import fold_arrays
@@ -127,8 +128,8 @@ def test_a_refused_ping_does_not_teach() -> None:
         np.testing.assert_array_equal(value[-1], taught(without)[name][-1], err_msg=name)
 
 
-def test_a_ping_that_refuses_itself_and_one_at_rest_do_not_teach() -> None:
-    """Exact zeros: no lock, or a vehicle at rest, which is used by its nominal noise."""
+def test_a_ping_that_refuses_itself_does_not_teach() -> None:
+    """Exact zeros of a vehicle that moves: no lock."""
     m = mission()
     good = pings(m)
     result = fly(parameters("adaptive"), m, [*good[:-1], replace(good[-1], v_d=np.zeros(3))])
@@ -136,6 +137,45 @@ def test_a_ping_that_refuses_itself_and_one_at_rest_do_not_teach() -> None:
     without = fly(parameters("adaptive"), m, good[:-1])
     for name, value in taught(result).items():
         np.testing.assert_array_equal(value[-1], taught(without)[name][-1], err_msg=name)
+
+
+def test_exact_zeros_at_rest_do_not_teach() -> None:
+    """They are used, by their nominal noise, and tell nothing of the DVL's or the IMU's."""
+    m = simulate(
+        STATIC,
+        constant(VARIANCES),
+        seed=SEED,
+        duration=40.0,
+        dvl=DvlModel(noise_std=(STD,) * 3, rate=5.0),
+    )
+    good = pings(m)
+    at_rest = [replace(ping, v_d=np.zeros(3)) for ping in good[100:]]
+    settings = parameters("adaptive")
+    of_q = replace(settings.process_noise, adaptive_factor=True)
+    settings = replace(settings, process_noise=of_q)
+    result = fly(settings, m, [*good[:100], *at_rest])
+    used = [update for update in result.updates[100:] if update.report.accepted]
+    assert len(used) > 50
+    without = fly(settings, m, good[:100])
+    learned_ns = [r.states["q_factor"]["learned_ns"][-1] for r in (result, without)]
+    assert learned_ns == [good[99].stamp_ns] * 2
+    for name, value in taught(result).items():
+        np.testing.assert_array_equal(value[-1], taught(without)[name][-1], err_msg=name)
+
+
+def test_nothing_is_learned_while_the_imu_is_in_doubt() -> None:
+    """The accelerometers freeze; the pings are used, and their noise stays as it was known."""
+    m = mission()
+    at = np.searchsorted(m.stamps_ns, 10 * NS)
+    m.f_b[at:] = m.f_b[at]
+    result = fly(parameters("adaptive"), m, pings(m))
+    doubted = result.states["channels"]["unseen_ns"].max(axis=1) != NEVER
+    first = int(np.argmax(doubted))
+    assert doubted[first:].all() and first < at + 100
+    used = [u for u in result.updates if u.stamp_ns > m.stamps_ns[first] and u.report.accepted]
+    assert len(used) > 20
+    for name, value in taught(result).items():
+        np.testing.assert_array_equal(value[-1], value[first], err_msg=name)
 
 
 def test_a_ping_that_is_used_softly_or_doubted_does_not_teach(

@@ -405,6 +405,7 @@ def test_what_is_no_process_noise_does_not_teach(run: Run, fault: Any) -> None:
     events = events_of(run, DISTURBED + 30.0)
     expected = state_after(events, gate=gate)["q_factor"]["factor"]
     disturbed = state_after(fault(events, run.mission), gate=gate)["q_factor"]
+    assert disturbed["learned_ns"] == run.mission.dvl_stamps_ns[int(DISTURBED) + 29]  # goes on
     assert disturbed["factor"] == pytest.approx(expected, rel=0.35)
 
 

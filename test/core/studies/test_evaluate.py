@@ -13,7 +13,8 @@ import pytest
 from insdvl.cli import main
 from insdvl.studies.evaluation import approaches, comparison
 from insdvl.studies.evaluation.comparison import MOST_FAILURES, summary
-from insdvl.studies.evaluation.monte_carlo import METRICS, evaluate_run
+from insdvl.studies.evaluation.monte_carlo import METRICS, evaluate_run, tuning_run
+from insdvl.studies.evaluation.sensors import Sensors
 
 ROWS = "constant 0.01/0.001,adaptive xi=5 floored,closed form,oracle,zero velocity,perfect heading"
 FAILED = METRICS.index("failed")
@@ -241,3 +242,49 @@ def test_a_row_that_fails_often_does_not_take_the_runs_from_the_others() -> None
     assert xi["failures"] == len(often) and xi["srmse"] is None and xi["ratio_to"] == {}
     column = values["xi"][:, METRICS.index("srmse")]
     assert xi["median"]["srmse"] == np.sort(column)[9:11].mean()  # failures count as the worst
+
+
+def test_without_a_run_in_which_no_row_failed_nothing_is_compared() -> None:
+    """Each of ten rows fails once, in a run of its own."""
+    values = scores({f"row {k}": [k] for k in range(10)}, runs=10)
+    numbers = summary(values, np.random.default_rng(10))
+    assert numbers["paired_runs"] == 0
+    for k, row in enumerate(numbers["rows"]):
+        assert row["failures"] == 1 and row["srmse"] is None and row["ratio_to"] == {}
+        column = values[f"row {k}"][:, METRICS.index("srmse")]
+        assert row["median"]["srmse"] == np.sort(column)[4:6].mean()
+
+
+def test_a_ratio_is_that_of_a_row_to_its_reference() -> None:
+    values = scores({"oracle": [], "xi": []})
+    values["xi"][:, :FAILED] = 2.0 * values["oracle"][:, :FAILED]
+    _, xi = summary(values, np.random.default_rng(11))["rows"]
+    assert xi["ratio_to"]["oracle"]["body_rmse"] == pytest.approx([2.0, 2.0, 2.0])
+
+
+def test_searches_have_no_outages_and_the_runs_have() -> None:
+    """What is searched is the same for all lengths of outages."""
+    asked = []
+
+    class Asked:
+        def compute(
+            self, function: Any, tasks: dict[str, int], shared: Any, **_: Any
+        ) -> list[dict]:
+            study, candidates = shared
+            asked.append((function, study.sensors.outage))
+            size = len(candidates)
+            one = {
+                "errors": np.arange(2.0 * size).reshape(size, 2),
+                "scores": np.tile(np.arange(len(METRICS)) != FAILED, (size, 1)).astype(float),
+                "series": np.zeros((size, 1, 4)),
+                "floors": np.zeros((2, len(METRICS))),
+            }
+            return [one] * len(tasks)
+
+    setting = approaches.Setting("calibrated", sensors=Sensors(outage=30.0))
+    plan = comparison.Plan(
+        "varying", setting, runs=2, tuning_runs=2, rows=("best constant", "oracle")
+    )
+    comparison.compare(plan, Asked())
+    assert {outage for function, outage in asked if function is tuning_run} == {0.0}
+    assert [outage for function, outage in asked if function is evaluate_run] == [30.0]

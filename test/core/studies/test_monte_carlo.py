@@ -30,6 +30,7 @@ from insdvl.studies.evaluation.monte_carlo import (
     mission_of_run,
     perfect_heading,
     track,
+    tuning_run,
 )
 
 STUDY = Study("varying", seed=5, duration=40.0)
@@ -52,6 +53,17 @@ def test_runs_differ_and_splits_share_nothing() -> None:
     assert len(np.unique(readings, axis=0)) == 4
     again = mission_of_run(STUDY, TEST, 0)
     np.testing.assert_array_equal(again.f_b[0], readings[0])
+
+
+def test_a_search_flies_missions_of_its_own() -> None:
+    candidate = approach("constant 0.01/0.001", CALIBRATED)
+    of_search = tuning_run((STUDY, (candidate,)), 0)["errors"][0, 0]
+    scores = {
+        split: assess(Run(STUDY, split, 0).fold(candidate), Run(STUDY, split, 0))[0]
+        for split in (TEST, TUNING)
+    }
+    at = METRICS.index("body_rmse")
+    assert of_search == scores[TUNING][at] != scores[TEST][at]
 
 
 def test_initial_errors_have_the_initial_covariance() -> None:

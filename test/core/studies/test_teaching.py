@@ -18,12 +18,14 @@ from insdvl.simulation.initial_errors import P_0, drawn_initial
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import constant
 from insdvl.simulation.sensors.dvl import DvlModel
+from insdvl.simulation.sensors.imu import ImuModel
 from insdvl.simulation.trajectories import BASELINE
 from insdvl.studies.evaluation.approaches import Setting
 from insdvl.studies.evaluation.sensors import Sensors
-from insdvl.studies.evaluation.taught import lessons_of
-from insdvl.studies.teaching import prior
-from insdvl.studies.teaching.fit import Bands, Constant, Fit, fit, log_likelihood
+from insdvl.studies.evaluation.taught import lessons_of, model_of
+from insdvl.studies.teaching import prior, slow_error
+from insdvl.studies.teaching import teach as teach_module
+from insdvl.studies.teaching.fit import Bands, Constant, Family, Fit, fit, log_likelihood
 from insdvl.studies.teaching.increments import increments
 from insdvl.studies.teaching.lesson import Lesson, LessonError, lesson_of
 from insdvl.studies.teaching.residuals import innovations
@@ -34,12 +36,14 @@ from insdvl.studies.teaching.teach import (
     SIMULATED,
     Fits,
     TeachingError,
+    constant_of,
     fits_of,
     teach,
 )
 from insdvl.studies.training.vehicles import Recipe, build
 from insdvl.timeline.recorded import fold_arrays
 from insdvl.tuner.models import load_model
+from insdvl.tuner.offline import tuned_by_model
 from insdvl.tuner.parameters import TunerParameters
 
 Q = np.repeat([1e-3, 1e-8], 3)
@@ -134,6 +138,28 @@ def test_a_poor_dvl_teaches_nothing() -> None:
         teach(fits_of(poor))
 
 
+def test_a_taught_constant_is_that_of_a_sample_at_any_rate_of_the_imu() -> None:
+    """At 400 Hz a model sees means of four samples."""
+    rate = 400.0
+    q = Q * rate / 100.0
+    setting = Setting("calibrated", sensors=Sensors(dvl_std=0.02)).filter((q[0], q[3]))
+    flown = simulate(
+        BASELINE["circle"],
+        constant(q),
+        seed=1,
+        duration=60.0,
+        imu=ImuModel(rate=rate),
+        dvl=DvlModel(noise_std=(0.02,) * 3),
+    )
+    arrays = flown.stamps_ns, np.hstack([flown.f_b, flown.w_ib_b])
+    fast = lesson_of("fast", setting, TunerParameters(), *arrays, events_of(flown, 1))
+    _, variances = tuned_by_model(*arrays, model_of(constant_of([fast])), TunerParameters())
+    expected = np.exp(fit(Constant([fast]), [fast]).numbers[:2]).repeat(3)
+    np.testing.assert_allclose(variances, np.tile(expected, (len(variances), 1)), rtol=1e-9)
+    with pytest.raises(TeachingError, match="a constant for IMUs of 100 to 400 Hz"):
+        constant_of([fast, lesson(1)])
+
+
 def test_what_simulated_vehicles_predict_as_well_is_not_taught() -> None:
     """However small the standard errors are, recordings that were left out decide."""
     lessons = [lesson(seed) for seed in (7, 8)]
@@ -144,6 +170,38 @@ def test_what_simulated_vehicles_predict_as_well_is_not_taught() -> None:
         teach(Fits(lessons, np.arange(2), family, sure, held))
     better = {**held, BANDS: np.array([10.0, 6.0])}
     assert teach(Fits(lessons, np.arange(2), family, sure, better)).answer == BANDS
+
+
+def test_what_is_left_out_teaches_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another velocity of its pings changes what predicts it by nothing, to the bit."""
+    lessons = [lesson(seed) for seed in (7, 8, 9)]
+    other = replace(
+        lessons[1],
+        stretch=replace(lessons[1].stretch, velocities=2.0 * lessons[1].stretch.velocities),
+    )
+    start = fit(Bands(lessons), lessons)
+
+    def predicted_with(lessons: Sequence[Lesson]) -> dict[str, list[bytes]]:
+        """Numbers that predict each lesson, in order."""
+        found: dict[str, list[bytes]] = {one.name: [] for one in lessons}
+
+        def spy(family: Family, test: Sequence[Lesson], numbers: np.ndarray) -> float:
+            found[test[0].name].append(numbers.tobytes())
+            return log_likelihood(family, test, numbers)
+
+        for module in (teach_module, slow_error):
+            monkeypatch.setattr(module, "log_likelihood", spy)
+        part = np.arange(len(lessons))
+        held = teach_module._held_out(lessons, part, start)
+        slow_error._without(Fits(lessons, part, Bands(lessons), start, held))
+        return found
+
+    before, after = predicted_with(lessons), predicted_with([lessons[0], other, lessons[2]])
+    assert {len(numbers) for numbers in before.values()} == {
+        5
+    }  # answers, and one without a slow error
+    assert after["8"] == before["8"]
+    assert after["7"] != before["7"] and after["9"] != before["9"]
 
 
 def _with_noise(one: Lesson, sigma: float, seed: int) -> Lesson:

@@ -11,6 +11,8 @@ from insdvl.jobs.pool import open_pool
 from insdvl.studies.training import bands, vehicles
 from insdvl.studies.training.vehicles import KINDS, PARTS, Recipe, Vehicles
 from insdvl.tuner.features.band_features import BAND_FEATURE_NAMES
+from insdvl.tuner.features.bands import WINDOW
+from insdvl.tuner.features.schemas import SCHEMAS
 from insdvl.tuner.forest import Forest
 from insdvl.tuner.models import load_model
 
@@ -78,6 +80,33 @@ def test_what_the_features_do_not_tell_is_averaged_as_standard_deviation():
     found = np.exp(Forest(arrays).predict(X))
     # The mean of logarithms would be 10, that of variances 50.
     assert 0.85 * 5.5**2 < np.median(found) < 1.15 * 5.5**2
+
+
+def test_the_training_teaches_the_validation_chooses_and_the_test_does_neither(monkeypatch):
+    """Validation and test are made of what the two candidates say after the training alone."""
+    rng = np.random.default_rng(3)
+    vehicle = np.tile(np.repeat(np.arange(10), 24), len(KINDS))
+    kind = np.repeat(np.arange(len(KINDS)), 240)
+    X = rng.normal(0.0, 0.5, (vehicle.size, len(BAND_FEATURE_NAMES))).astype(np.float32)
+    q = np.exp(rng.normal(0.5, 0.3, vehicle.size))
+    data = Vehicles(X, np.ones(vehicle.size), q, kind, vehicle)
+    at = {part: data.part(part) for part in PARTS}
+    schema = SCHEMAS[bands.SCHEMA]
+    training = X[at["training"]], schema.encode(q[at["training"]], 1.0), 4
+    said = {}
+    for name in (bands.BAGGED, bands.BOOSTED):
+        forest = Forest(bands._fit(training, name))
+        said[name] = np.exp(schema.bounded(X, forest.predict(X)))
+    monkeypatch.setattr(bands.vehicles, "build", lambda *_: data)
+    for true, other in ((bands.BAGGED, bands.BOOSTED), (bands.BOOSTED, bands.BAGGED)):
+        q[at["validation"]], q[at["test"]] = (
+            said[name][at[part]] for name, part in ((true, "validation"), (other, "test"))
+        )
+        with open_pool(Workers(jobs=1)) as pool:
+            _, card = bands.train(bands.SCHEMA, WINDOW, 4, pool, None, lambda _: None)
+        assert card["ensemble"]["chosen"] == true
+        assert card["ensemble"]["validation_deviance"][true] == pytest.approx(0.0, abs=1e-9)
+        assert min(card["metrics"]["test_deviance"]["learned"].values()) > 1e-6
 
 
 def test_deviance_is_zero_for_the_truth_and_least_at_the_mean():

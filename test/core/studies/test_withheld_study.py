@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2, multivariate_normal
 
-from insdvl.navigation.events import Initial
+from insdvl.navigation.events import NS, Initial
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.recordings.parameters import ReplayParameters
 from insdvl.simulation.initial_errors import P_0, drawn_initial
@@ -17,10 +18,15 @@ from insdvl.simulation.trajectories import BASELINE
 from insdvl.studies.evaluation.approaches import Setting
 from insdvl.studies.evaluation.metrics import Track
 from insdvl.studies.evaluation.sensors import Sensors
+from insdvl.studies.evaluation.statistics import resamples
+from insdvl.studies.judgement.withheld import WINDOWS, predictions
+from insdvl.studies.replay.taken import Taken
 from insdvl.studies.results import withheld
+from insdvl.studies.results.recorded.predictions import against_hand_set
 from insdvl.studies.results.recordings import Recording, Settings, stream_axes
 from insdvl.studies.results.vehicle_runs import HAND_SET
 from insdvl.studies.results.withheld import COLUMNS, FREE, TAUGHT, TAUGHT_CONSTANT, Shared
+from insdvl.timeline.recorded import fold_arrays
 from insdvl.tuner.parameters import TunerParameters
 
 HAND_SET_Q = (1e-2, 1e-7)  # ten times the true variances
@@ -96,3 +102,66 @@ def test_what_the_dvl_teaches_predicts_it_better_than_ten_times_the_noise(
 ) -> None:
     column = "log_likelihood 10 s"
     assert rows(TAUGHT_CONSTANT + FREE, column) > rows(HAND_SET, column)
+
+
+def test_only_the_first_ping_behind_each_window_is_scored(
+    recordings: list[Recording], settings: Settings
+) -> None:
+    """Pings come each second from 1 s on; 20 s to recover, 10 s withheld, and again."""
+    one = recordings[0]
+    start, *pings = one.events
+    seconds = [round((ping.stamp_ns - one.stamps_ns[0]) / NS) for ping in pings]
+    scored = range(seconds[0] + 31, seconds[-1] + 1, 31)
+    given = [
+        ping
+        for ping, second in zip(pings, seconds, strict=True)
+        if not any(last - 10 <= second < last for last in scored)
+    ]
+    readings = one.samples @ stream_axes(settings).T
+    folded = fold_arrays(
+        settings.filter, one.stamps_ns, readings[:, :3], readings[:, 3:], [start, *given]
+    )
+    stamps_ns = {ping.stamp_ns for ping, s in zip(pings, seconds, strict=True) if s in scored}
+    reports = [u.report for u in folded.updates if u.stamp_ns in stamps_ns]
+    taken = Taken.of(one.stamps_ns, readings, one.events)
+    used = {ping.stamp_ns for ping in pings}
+    found = predictions(taken, settings.filter, used, 10.0)
+    assert found is not None
+    assert found.count == len(reports) == len(scored) == 3
+    squares = [r.innovation @ r.innovation for r in reports]
+    assert found.error == pytest.approx(np.sqrt(np.mean(squares)))
+    assert found.sigma == pytest.approx(np.sqrt(np.mean([np.trace(r.S) for r in reports])))
+    logs = [multivariate_normal(cov=r.S).logpdf(r.innovation) for r in reports]
+    assert found.log_likelihood == pytest.approx(np.mean(logs))
+    nis = np.array([r.innovation @ np.linalg.solve(r.S, r.innovation) for r in reports])
+    assert found.nis_mean == pytest.approx(nis.mean())
+    assert found.covered == np.mean(nis < chi2.ppf(0.95, 3))
+
+
+def test_a_recording_too_short_for_a_length_is_left_out_of_it() -> None:
+    """Two recordings of 2 and 6 pings; a third one has no window of 60 s."""
+
+    def numbers(error: float, log_likelihood: float, has_60: bool = True) -> dict[str, float]:
+        return {
+            f"{name} {seconds:g} s": value if has_60 or seconds < 60.0 else np.nan
+            for seconds in WINDOWS
+            for name, value in (("error", error), ("log_likelihood", log_likelihood))
+        }
+
+    def of(count: float, *values: float, has_60: bool = True) -> dict[str, float]:
+        counts = {f"count {s:g} s": count if has_60 or s < 60.0 else np.nan for s in WINDOWS}
+        return counts | numbers(*values, has_60=has_60)
+
+    hand_set = {"a": of(2.0, 1.0, -1.0), "b": of(6.0, 1.0, -1.0)}
+    learned = {"a": of(2.0, 2.0, 0.0), "b": of(6.0, 2.0, 4.0)}
+    short = {"c": of(8.0, 1.0, -1.0, has_60=False)}
+    draws = resamples(np.arange(3), np.random.default_rng(3))
+    found = against_hand_set({HAND_SET: hand_set | short, "learned": learned | short}, draws)
+    of_60 = found["learned"]["60 s"]
+    assert of_60["error"] == pytest.approx((2.0, 2.0, 2.0))
+    middle, low, high = of_60["log_likelihood"]  # gains of 1 and 5
+    assert (middle, low, high) == pytest.approx((4.0, 1.0, 5.0))
+    of_10 = found["learned"]["10 s"]
+    assert of_10["error"][0] == pytest.approx(np.sqrt((8.0 * 4.0 + 8.0) / 16.0))
+    nobody = against_hand_set({HAND_SET: short, "learned": short}, draws[:, :1])
+    assert np.isnan(nobody["learned"]["60 s"]["error"]).all()

@@ -172,7 +172,12 @@ def test_pings_without_lock_and_late_ones_are_counted_and_left_out() -> None:
     good = pings(m)
     zero = Dvl(good[20].stamp_ns + NS // 20, np.zeros(3))
     again = Dvl(good[20].stamp_ns + NS // 10, good[20].v_d)
-    partial = replace(good[21], stamp_ns=good[21].stamp_ns + 1, measured=(True, False, True))
+    partial = replace(
+        good[21],
+        stamp_ns=good[21].stamp_ns + 1,
+        v_d=good[21].v_d + 0.01,  # no repetition
+        measured=(True, False, True),
+    )
     wrong = replace(good[22], stamp_ns=good[22].stamp_ns + 1, v_d=np.full(3, np.nan))
     tuner = DvlTuner(parameters())
     events = in_order(samples(m), good, [zero, again, partial, wrong])
@@ -183,6 +188,20 @@ def test_pings_without_lock_and_late_ones_are_counted_and_left_out() -> None:
     assert tuner.counts["pings_incomplete"] == 1
     assert tuner.counts["pings_out_of_order"] == 1
     assert tuner.counts["pings"] == len(good)
+
+
+@pytest.mark.parametrize("before_samples", [True, False])
+def test_a_ping_with_a_stamp_far_ahead_stops_nothing(before_samples: bool) -> None:
+    m = mission(duration=20.0)
+    good = pings(m)
+    wrong = Dvl(good[30].stamp_ns + 3600 * NS, good[30].v_d + 0.5)
+    events = in_order(samples(m), good)
+    at = 0 if before_samples else events.index(good[30])
+    tuner = DvlTuner(parameters())
+    found = told(tuner, [*events[:at], wrong, *events[at:]])
+    expected = told(DvlTuner(parameters()), events)
+    assert [one.R.tobytes() for one in found] == [one.R.tobytes() for one in expected]
+    assert tuner.counts["pings_far_ahead"] == 1 and tuner.counts["pings_out_of_order"] == 0
 
 
 def test_over_a_gap_of_the_imu_nothing_is_compared() -> None:

@@ -67,6 +67,37 @@ def test_each_group_of_channels_has_its_own_weights() -> None:
         regressor.predict(X[:5])
 
 
+def test_each_group_of_channels_has_its_own_limits() -> None:
+    regressor = Weights(np.zeros((2, F + 1)), np.array([[1.0, 2.0], [-2.0, -1.0]]))
+    found = regressor.predict(np.zeros((6, F)))
+    np.testing.assert_array_equal(found, [1.0] * 3 + [-1.0] * 3)
+
+
+@pytest.mark.parametrize("louder", [10.0, 0.1])
+def test_the_change_is_how_far_the_last_2_s_are_above_the_last_6_s(louder: float) -> None:
+    """6 s with the last 2 s at c times the amplitude have (2 + c^2) / 3 times the power."""
+    noise = np.random.default_rng(7).normal(0.0, 0.1, (300, 2000))
+    noise[:, -200:] *= louder
+    X, _ = group_features(noise)
+    steady, _ = group_features(np.random.default_rng(8).normal(0.0, 0.1, (300, 2000)))
+    at = GROUP_FEATURE_NAMES.index("change")
+    expected = np.log(louder**2 / ((2.0 + louder**2) / 3.0))
+    assert X[:, at].mean() - steady[:, at].mean() == pytest.approx(expected, abs=0.25)
+
+
+@pytest.mark.parametrize(
+    ("frequency", "group"), [(0.2, "slow_0.1_0.4"), (0.8, "slow_0.4_1.6"), (2.0, "near_1_3.25")]
+)
+def test_slow_motion_is_in_the_group_of_its_frequency(frequency: float, group: str) -> None:
+    """A wave of 30 times the amplitude of the noise."""
+    t = 0.01 * np.arange(2000)
+    noise = np.random.default_rng(9).normal(0.0, 0.01, (50, 2000))
+    phases = np.linspace(0.0, 2.0 * np.pi, 50)[:, None]
+    X, _ = group_features(noise + 0.3 * np.sin(2.0 * np.pi * frequency * t + phases))
+    means = dict(zip(GROUPS, X.mean(axis=0), strict=False))
+    assert max(means, key=means.__getitem__) == group
+
+
 def test_white_noise_has_its_variance_in_every_group_of_bands() -> None:
     rng = np.random.default_rng(6)
     X, scale = group_features(rng.normal(0.0, 0.02, (400, 2000)))

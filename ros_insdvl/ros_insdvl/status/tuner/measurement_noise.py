@@ -14,6 +14,7 @@ _WHY = {
     "pings_incomplete": "with a component that is not measured",
     "pings_without_lock": "zero, repeated or not finite",
     "pings_out_of_order": "not newer than the one before",
+    "pings_far_ahead": "far ahead of the IMU's stamps",
     "pings_without_samples": "without IMU samples around them",
 }
 #: So many pings without one that can be used are no longer chance.

@@ -232,10 +232,14 @@ def summary(scores: Mapping[str, Array], rng: np.random.Generator) -> dict[str, 
     failures = {row: int(np.sum(values[:, failure])) for row, values in scores.items()}
     n_runs = len(next(iter(scores.values())))
     paired = {row for row, count in failures.items() if count <= MOST_FAILURES * n_runs}
-    whole = np.all([scores[row][:, failure] == 0.0 for row in paired], axis=0)
+    whole = np.ones(n_runs, np.bool_)
+    for row in paired:
+        whole &= scores[row][:, failure] == 0.0
+    if not whole.any():
+        paired = set()  # there is no run to compare them on
     numbers: dict[str, Any] = {
         "runs": n_runs,
-        "paired_runs": int(whole.sum()),
+        "paired_runs": int(whole.sum()) if paired else 0,
         "rows": [],
         "per_run": {
             metric: {
@@ -245,7 +249,7 @@ def summary(scores: Mapping[str, Array], rng: np.random.Generator) -> dict[str, 
             for metric in compared
         },
     }
-    draws = statistics.resamples(np.arange(whole.sum()), rng)
+    draws = statistics.resamples(np.arange(max(int(whole.sum()), 1)), rng)
 
     def column(row: str, metric: str) -> Array:
         return scores[row][whole, METRICS.index(metric)]

@@ -30,6 +30,7 @@ from insdvl.studies.teaching.lesson import Lesson
 from insdvl.tuner.features.band_groups import GROUP_FEATURE_NAMES
 from insdvl.tuner.features.bands import WINDOW
 from insdvl.tuner.weights import Weights
+from insdvl.tuner.windows import pool_of
 
 #: Answers, as in the card.
 BANDS, CONSTANT = "bands", "constant"
@@ -177,9 +178,22 @@ def teach(fits: Fits) -> Taught:
 
 
 def constant_of(lessons: Sequence[Lesson]) -> Weights:
-    """The best constant: the level alone, with the weight that cancels the scale."""
+    """The best constant: the level alone, with the weight that cancels the scale.
+
+    A model sees means of k samples, and the tuner takes k times its variance for that of a sample.
+
+    Raises:
+        TeachingError: The IMUs have different rates: a variance per sample is not one number then.
+    """
+    rates = [1.0 / lesson.stretch.interval for lesson in lessons]
+    pools = {pool_of(rate) for rate in rates}
+    if len(pools) > 1:
+        raise TeachingError(
+            f"a constant for IMUs of {min(rates):.4g} to {max(rates):.4g} Hz is not one variance "
+            "per sample: teach from recordings of one rate"
+        )
     weights = np.zeros((len(GROUPS), len(GROUP_FEATURE_NAMES) + 1))
-    weights[:, 0] = fit(Constant(lessons), lessons).numbers[: len(GROUPS)]
+    weights[:, 0] = fit(Constant(lessons), lessons).numbers[: len(GROUPS)] - np.log(pools.pop())
     weights[:, -1] = -1.0
     return _limited(weights, lessons)
 

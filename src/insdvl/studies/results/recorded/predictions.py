@@ -1,5 +1,6 @@
 """Predictions of withheld pings, against those of the filter with hand-set noise."""
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -24,7 +25,8 @@ def against_hand_set(rows: Mapping[str, Numbers], draws: Draws) -> dict[str, Any
 
     Returns:
         For each row and length ``error``, the ratio of the RMS errors over all pings, and
-        ``log_likelihood``, the mean difference for a ping, both with intervals.
+        ``log_likelihood``, the mean difference for a ping, both with intervals. A recording that
+        is too short for a length is left out of it.
     """
     return {
         row: {f"{w:g} s": _compared(numbers, rows[HAND_SET], w, draws) for w in WINDOWS}
@@ -38,9 +40,14 @@ def _compared(row: Numbers, hand_set: Numbers, seconds: float, draws: Draws) -> 
         return np.array([of[f"{name} {seconds:g} s"] for of in numbers.values()])
 
     count = column(hand_set, "count")
-    error, best = (column(numbers, "error") for numbers in (row, hand_set))
+    long = np.isfinite(count)
+    if not long.any():
+        return dict.fromkeys(("error", "log_likelihood"), (math.nan,) * 3)
+    count, draws = count[long], draws[:, long]
+    draws = draws[draws.any(axis=1)]
+    error, best = (column(numbers, "error")[long] for numbers in (row, hand_set))
     middle, low, high = np.sqrt(ratio_of_means(count * error**2, count * best**2, draws))
-    gain = column(row, "log_likelihood") - column(hand_set, "log_likelihood")
+    gain = (column(row, "log_likelihood") - column(hand_set, "log_likelihood"))[long]
     return {
         "error": (float(middle), float(low), float(high)),
         "log_likelihood": ratio_of_means(count * gain, count, draws),
