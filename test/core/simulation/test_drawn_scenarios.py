@@ -15,6 +15,7 @@ from insdvl.simulation.drawn.scenarios import (
     DRAWN,
     GYROSCOPE,
     TIME_CONSTANT,
+    Disturbances,
 )
 from insdvl.simulation.mission import simulate
 from insdvl.simulation.noise import NoiseProfile
@@ -68,6 +69,22 @@ def test_motion_is_not_in_the_effective_noise(name):
     assert np.abs(moving.truth.v_n - still.truth.v_n).max() > 1e-4
     sigma = np.sqrt(still.q)
     assert ((moving.f_b - still.f_b).std(axis=0) > sigma[:, :3].mean(axis=0) * 0.05).any()
+
+
+@pytest.mark.parametrize(("gyroscope", "accelerometer"), [(3, 1), (4, 0), (5, None)])
+def test_a_gyroscope_changes_the_effective_noise_of_the_axis_it_tilts(gyroscope, accelerometer):
+    """The gain of the velocity depends on it; a turn about x tilts y, and about z neither."""
+    level = NoiseProfile(np.zeros(1), 0.02 * np.repeat([[1.0, 1e-5]], 3, axis=1))
+    flicker = np.zeros(6)
+    flicker[gyroscope] = 1e-7
+    quiet, loud = (
+        Disturbances(replace(NONE, coloured=level, flicker=own)).effective(
+            level, np.ones(1), DvlModel(), 100.0, 300.0
+        )
+        for own in (np.zeros(6), flicker)
+    )
+    changed = np.flatnonzero(np.abs(loud[0].variances / quiet[0].variances - 1.0)[0] > 1e-3)
+    assert set(changed) == {gyroscope, accelerometer} - {None}
 
 
 def test_coloured_noise_has_its_density_and_time_constant():
