@@ -35,7 +35,7 @@ from insdvl.navigation.parameters import SENSORS, FilterParameters
 from insdvl.navigation.prediction import predict
 from insdvl.navigation.prediction.kept import Kept
 from insdvl.navigation.process_noise import factor, shown, source_of
-from insdvl.navigation.process_noise.factor import Factor
+from insdvl.navigation.process_noise.factor import Factor, estimate
 from insdvl.navigation.start import wrong_heading, zero_velocity
 from insdvl.navigation.start.initial_state import Start, locate
 from insdvl.navigation.state.fields import CORE, NEVER, State
@@ -86,6 +86,7 @@ class Filter:
             invariant=parameters.error_state == "invariant",
             n=n,
             blocks=places,
+            gyroscope_bias_std=parameters.initial.gyroscope_bias_std,
             constants=self.constants,
             workspace=self._workspace,
         )
@@ -348,12 +349,16 @@ class Filter:
             as_it_is = learns and np.array_equal(used.R, linearised.R) and not channels.in_doubt(s)
             if noise is not None and as_it_is:
                 used = noise.learn(s, event, nominal, used)
-            if scaling is None:
-                self._correct(state, event, turn, used)
-            else:
+            if scaling is not None:
                 before = scaling.meet(s, stamp_ns, used, teaches=as_it_is and not at_rest)
                 self._correct(state, event, turn, used)
                 scaling.corrected(s, stamp_ns, before)
+            elif self._factor is not None:
+                before = estimate(s["nav"])
+                self._correct(state, event, turn, used)
+                self._factor.follow(s, before)
+            else:
+                self._correct(state, event, turn, used)
         for other in self._noises.values():
             other.follow(s, attitude)
         map_to_odom.moved(state, self.vehicle, was)

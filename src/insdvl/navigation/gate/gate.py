@@ -195,8 +195,8 @@ class Gate:
         again, g["drifts"] = bool(g["drifts"]), fair.nis > FAULT * limit
         if not (again and g["drifts"]):
             return self._again(s, now, now.R + (fair.nis / limit - 1.0) * now.S)
-        seconds = (stamp_ns - int(g["accepted_ns"])) / NS
-        self._model.inflate(s, now.innovation, seconds)
+        self._model.inflate(s, now.innovation, _drifted_for(g, stamp_ns))
+        g["trusted_for"] = 0
         g["inflations"] += 1
         return self._again(s, now, now.R)
 
@@ -299,8 +299,7 @@ class Gate:
         again = not back and stamp_ns - int(g["gave_in_ns"]) <= 2 * self._patience_ns
         contested = not back and (not trusted if again else bool(g["steps"]))
         known = stamp_ns > g["accepted_ns"] > NEVER and (not g["steps"] or (again and trusted))
-        seconds = (stamp_ns - int(g["accepted_ns"])) / NS if known else None
-        self._model.inflate(s, now.innovation, seconds)
+        self._model.inflate(s, now.innovation, _drifted_for(g, stamp_ns) if known else None)
         if contested:
             count = 1.0
             if trusted:
@@ -336,6 +335,15 @@ class Gate:
             return now
         g["doubt_from_ns"] = NEVER
         return sure
+
+
+def _drifted_for(g: State, stamp_ns: int) -> float:
+    """The time [s] in which the filter has drifted: since it last agreed, and no shorter than 5 s.
+
+    From one measurement to the next only a tilt or a bias of absurd size makes a misfit. What does
+    is older than that: the measurement before was a misfit too.
+    """
+    return max(stamp_ns - int(g["accepted_ns"]), LEAST_PATIENCE_NS) / NS
 
 
 def _doubt(g: State, error: float, from_ns: int, lasts_ns: int, half_life_ns: int = 0) -> None:

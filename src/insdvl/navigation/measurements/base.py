@@ -55,6 +55,7 @@ class Vehicle:
         invariant: Whether the error state is the invariant one.
         n: Number of error states in use.
         blocks: Indices of each optional block that is in use.
+        gyroscope_bias_std: Of each axis at the start, one sigma [rad/s].
         constants: (1,) record of the filter.
         workspace: (1,) record of the filter; `g_n` is gravity at the last linearised state.
     """
@@ -65,6 +66,7 @@ class Vehicle:
     invariant: bool
     n: int
     blocks: Mapping[str, slice]
+    gyroscope_bias_std: float
     constants: Records
     workspace: Records
 

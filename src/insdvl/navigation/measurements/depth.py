@@ -16,7 +16,7 @@ import numpy as np
 from insdvl.arrays import Array, Records
 from insdvl.navigation import coordinates
 from insdvl.navigation.error_state import ACCELEROMETER_BIAS, ATTITUDE, POSITION, VELOCITY
-from insdvl.navigation.events import MAX_DISTANCE, MAX_VARIANCE, Limits, Measurement
+from insdvl.navigation.events import MAX_DISTANCE, MAX_VARIANCE, NS, Limits, Measurement
 from insdvl.navigation.geometry.earth import gravity
 from insdvl.navigation.geometry.rotation import cross_matrix
 from insdvl.navigation.measurements import claims
@@ -29,12 +29,15 @@ from insdvl.navigation.measurements.base import (
     Turn,
     Vehicle,
 )
-from insdvl.navigation.state.fields import State
+from insdvl.navigation.state.fields import NEVER, State
 from insdvl.parameters.declaration import lever_arm, parameter
 
 #: Gravity [m/s^2] with which a pressure is turned into a depth before the latitude is known.
 STANDARD_GRAVITY = 9.80665
 
+#: A velocity that was told so lately is known [ns], and a sensor that has borne the filter out for
+#: so long as well.
+_TOLD_NS = 5 * NS
 _DOWN = 2
 
 
@@ -216,11 +219,23 @@ class DepthModel(SensorModel[Depth]):
         return np.array([[drift]])
 
     def inflate(self, s: State, innovation: Array, seconds: float | None) -> None:
-        """Doubt the height, and the vertical velocity that may have led it astray."""
+        """Doubt the height, and the vertical velocity that may have led it astray.
+
+        Not the velocity where a DVL has just told it: then it is the sensor that lags or drifts. And
+        while the sensor has not borne the filter out for long, its first depth may have been wrong:
+        the surface that was taken from it is doubted, as far as it was not told.
+        """
         P, variance = s["nav"]["P"], float(innovation @ innovation)
         down, rate = POSITION.start + _DOWN, VELOCITY.start + _DOWN
+        if self._surface is not None and s["gate"][Depth.name]["trusted_for"] < _TOLD_NS:
+            at = self._surface.start
+            of_surface = min(variance, max(self._parameters.surface_std**2 - P[at, at], 0.0))
+            P[at, at] += of_surface
+            variance -= of_surface
         P[down, down] += variance
-        if seconds is not None:
+        told_ns = int(s["channels"]["told_ns"])
+        is_told = told_ns != NEVER and int(s["nav"]["time_ns"]) - told_ns <= _TOLD_NS
+        if seconds is not None and not is_told:
             P[rate, rate] += variance / seconds**2
             P[down, rate] += variance / seconds
             P[rate, down] += variance / seconds

@@ -383,16 +383,17 @@ class DvlModel(SensorModel[Dvl]):
     def inflate(self, s: State, innovation: Array, seconds: float | None) -> None:
         """Doubt the velocity, and the tilt that may have led it astray since it last fitted.
 
-        A tilt error psi drives the velocity by [g x] psi; the one that makes the innovation in the
-        time that has passed is one sigma.
+        A tilt error psi drives the velocity by [g x] psi, which is level; the one that makes the
+        level part of the innovation in the time that has passed is one sigma.
         """
         n = self._vehicle.n
-        P = s["nav"]["P"][:n, :n]
+        P, level = s["nav"]["P"][:n, :n], (s["nav"]["C_n_b"] @ self._C_b_d @ innovation)[:2]
         variance = float(innovation @ innovation)
         P[VELOCITY, VELOCITY] += np.eye(3) * variance
         if seconds is not None:
             g_n = self._vehicle.workspace[0]["g_n"]
-            sigma = min(np.sqrt(variance) / (np.linalg.norm(g_n) * seconds), LARGEST_TILT_DOUBT)
+            sigma = np.linalg.norm(level) / (np.linalg.norm(g_n) * seconds)
+            sigma = min(float(sigma), LARGEST_TILT_DOUBT)
             A = np.zeros((n, 2))  # of the turns about north and east
             A[ATTITUDE] = np.eye(3)[:, :2]
             A[VELOCITY] = seconds * cross_matrix(g_n)[:, :2]

@@ -36,10 +36,6 @@ from insdvl.navigation.measurements.base import (
 from insdvl.navigation.state.fields import State
 from insdvl.parameters.declaration import mount, parameter, time_offset
 
-#: Most bias of the gyroscope, one sigma [rad/s], that an inflation takes for possible: twenty times
-#: that of a MEMS.
-LARGEST_BIAS_DOUBT = 0.01
-
 _HEADING = ATTITUDE.stop - 1
 _DOWN = 2
 _LARGEST_TANGENT = 1e6
@@ -279,7 +275,9 @@ class HeadingModel(SensorModel[Heading]):
     def inflate(self, s: State, innovation: Array, seconds: float | None) -> None:
         """Doubt the attitude by the innovation, and the gyroscope bias that may have turned it.
 
-        The velocity in body axes, which a DVL tells, and the position in metres stay as they are.
+        The bias becomes no more uncertain than it was at the start: a compass that passes steel
+        would make one of degrees per second, which tilts the vehicle when it turns. The velocity in
+        body axes, which a DVL tells, and the position in metres stay as they are.
         """
         vehicle, nav = self._vehicle, s["nav"]
         n, psi = vehicle.n, self._turn(innovation)
@@ -289,8 +287,11 @@ class HeadingModel(SensorModel[Heading]):
             a[VELOCITY] = -cross_matrix(nav["v_n"]) @ psi
         a[POSITION] = coordinates.turns_position(s, invariant=vehicle.invariant) @ psi
         if seconds is not None:
-            rate = min(float(np.linalg.norm(psi)) / seconds, LARGEST_BIAS_DOUBT)
-            a[GYROSCOPE_BIAS] = -rate * nav["C_n_b"].T @ psi / np.linalg.norm(psi)
+            size = float(np.linalg.norm(psi))
+            axis = nav["C_n_b"].T @ psi / size
+            known = float(axis @ nav["P"][GYROSCOPE_BIAS, GYROSCOPE_BIAS] @ axis)
+            room = max(vehicle.gyroscope_bias_std**2 - known, 0.0)
+            a[GYROSCOPE_BIAS] = -min(size / seconds, math.sqrt(room)) * axis
         nav["P"][:n, :n] += np.outer(a, a)
 
     def restart(self, s: State, innovation: Array, R: Array) -> None:

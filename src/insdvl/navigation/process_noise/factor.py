@@ -35,6 +35,9 @@ PAUSE = 20.0
 #: For so long [s] after its start the bank teaches nothing: all levels have the filter's estimate
 #: then, and the filter itself may just have started.
 SETTLING = 10.0
+#: For so long [s] after a glitch of the IMU nothing is learned: Q is too large while a tuner has the
+#: glitch in its window of 6 s, which it tells once a second.
+GLITCH = 8.0
 
 #: Name of the group of the state record.
 GROUP = "q_factor"
@@ -173,11 +176,17 @@ class Factor:
         )
         if not usable:
             self.restart(s)
-        elif teaches and stamp_ns - int(m["begin_ns"]) >= SETTLING * NS:
+        elif teaches and self._is_settled(s, stamp_ns):
             since_ns = m["learned_ns"] if m["learned_ns"] != NEVER else stamp_ns
             age = (stamp_ns - int(since_ns)) / NS
             m["likelihoods"] = bank.learned(m["likelihoods"], likelihoods, age)
             m["factor"], m["learned_ns"] = bank.mean_factor(m["likelihoods"]), stamp_ns
+
+    @staticmethod
+    def _is_settled(s: State, stamp_ns: int) -> bool:
+        """Whether filter and bank have run for long enough, and without a glitch of the IMU."""
+        begin_ns, glitch_ns = int(s[GROUP]["begin_ns"]), int(s["channels"]["step_ns"].max())
+        return stamp_ns - begin_ns >= SETTLING * NS and stamp_ns - glitch_ns > GLITCH * NS
 
     def corrected(self, s: State, stamp_ns: int, before: Estimate) -> None:
         """The filter was corrected by that ping: the bank's estimates are relative to the new one.
@@ -187,17 +196,31 @@ class Factor:
             stamp_ns: Of the ping.
             before: The estimate before that.
         """
-        m, nav = s[GROUP], s["nav"]
+        m = s[GROUP]
         if m["begin_ns"] == NEVER:
             self._begin(s, stamp_ns)
         else:
-            turned = nav["C_n_b"] @ before.C_n_b.T
-            m["errors"][:, VELOCITY] -= nav["v_n"] - turned @ before.v_n
-            m["errors"][:, ATTITUDE] -= vector_from_rotation(turned)
-            m["errors"][:, ACCELEROMETER_BIAS] -= nav["b_f"] - before.b_f
-            m["errors"][:, GYROSCOPE_BIAS] -= nav["b_w"] - before.b_w
+            self.follow(s, before)
         m["ping_ns"] = stamp_ns
         self._scale(s)
+
+    @staticmethod
+    def follow(s: State, before: Estimate) -> None:
+        """The filter was corrected: the bank's estimates are relative to the new one.
+
+        The bank knows the pings alone. What another sensor corrects is, against the bank, an error
+        that the filter no longer has.
+
+        Args:
+            s: State, corrected.
+            before: The estimate before that.
+        """
+        errors, nav = s[GROUP]["errors"], s["nav"]
+        turned = nav["C_n_b"] @ before.C_n_b.T
+        errors[:, VELOCITY] -= nav["v_n"] - turned @ before.v_n
+        errors[:, ATTITUDE] -= vector_from_rotation(turned)
+        errors[:, ACCELEROMETER_BIAS] -= nav["b_f"] - before.b_f
+        errors[:, GYROSCOPE_BIAS] -= nav["b_w"] - before.b_w
 
     def _begin(self, s: State, stamp_ns: int) -> None:
         """All levels begin with the filter's estimate and covariance."""
