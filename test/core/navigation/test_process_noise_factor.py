@@ -9,18 +9,27 @@ from scipy.linalg import expm
 
 from insdvl.arrays import Array
 from insdvl.navigation import kalman
+from insdvl.navigation.error_state import VELOCITY
 from insdvl.navigation.events import NS, Event, Imu, ProcessNoise
 from insdvl.navigation.geometry.rotation import cross_matrix
+from insdvl.navigation.measurements.depth import Depth
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.process_noise import bank
 from insdvl.navigation.process_noise.bank import LEVELS, SIZE
-from insdvl.navigation.process_noise.factor import SETTLING
+from insdvl.navigation.process_noise.factor import GLITCH, SETTLING
 from insdvl.parameters.declaration import ParameterError, build
+from insdvl.simulation.grades import GRADES
+from insdvl.simulation.initial_errors import drawn_initial
+from insdvl.simulation.mission import simulate
+from insdvl.simulation.noise import constant
+from insdvl.simulation.sensors.dvl import DvlModel
+from insdvl.simulation.trajectories import AUV
 from insdvl.studies.evaluation.approaches import Setting
 from insdvl.studies.evaluation.monte_carlo import TUNING, Run, Study
 from insdvl.timeline.fold import Fold
 from insdvl.timeline.output import FoldResult
+from insdvl.timeline.recorded import fold_arrays
 
 SEED = 11
 #: Nominal variances within the bounds of the test of the bounds.
@@ -409,6 +418,20 @@ def test_what_is_no_process_noise_does_not_teach(run: Run, fault: Any) -> None:
     assert disturbed["factor"] == pytest.approx(expected, rel=0.35)
 
 
+def test_nothing_is_learned_right_behind_a_glitch(run: Run) -> None:
+    """A tuner has it in its window, and tells a Q that is too large."""
+    events = [
+        replace(e, f_b=e.f_b + np.array([50.0, 0.0, 0.0]))
+        if isinstance(e, Imu) and e.stamp_ns == run.mission.stamps_ns[6049]
+        else e
+        for e in events_of(run, 60.0 + GLITCH + 3.0)
+    ]
+    pings_ns = run.mission.dvl_stamps_ns
+    until = [e for e in events if e.stamp_ns <= run.mission.start_ns + (60.0 + GLITCH) * NS]
+    assert state_after(until)["q_factor"]["learned_ns"] == pings_ns[59]
+    assert state_after(events)["q_factor"]["learned_ns"] == pings_ns[59 + int(GLITCH) + 3]
+
+
 def test_the_bank_settles_before_it_teaches(run: Run) -> None:
     events = events_of(run, SETTLING + 1.0)  # the first ping begins it, at 1 s
     m = state_after(events)["q_factor"]
@@ -461,3 +484,65 @@ def test_the_estimates_of_the_levels_move_with_the_filter(run: Run) -> None:
     off = m["errors"][one] / np.sqrt(np.diag(full))
     assert np.abs(off).max() < 0.5
     assert np.abs(m["errors"][0] / np.sqrt(np.diag(full))).max() > 0.5  # others do not
+
+
+# ---------------------------------------------------------------- beside another sensor
+
+
+def test_what_a_depth_corrects_leaves_the_estimates_of_the_levels(run: Run) -> None:
+    """They are relative to the filter, which has moved: their sums are as without it."""
+    parameters = Setting("calibrated").filter(source="external", adaptive_factor=True)
+    of_depth = replace(parameters.depth, topic="depth", noise_std=0.01, surface_std=0.0)
+    events, m = events_of(run, 60.3), run.mission
+    last = int(np.searchsorted(m.stamps_ns, events[-1].stamp_ns))
+    depth = Depth(events[-1].stamp_ns, -m.truth.llh[last, 2] + 0.2)
+    one, other = (
+        state_after(own, depth=of_depth, gate=replace(parameters.gate, enabled=False))
+        for own in (events, [*events, depth])
+    )
+    moved = other["nav"]["v_n"] - one["nav"]["v_n"]
+    assert np.abs(moved).max() > 0.005
+    told = [s["nav"]["v_n"] + s["q_factor"]["errors"][:, VELOCITY] for s in (one, other)]
+    np.testing.assert_allclose(told[1], told[0], atol=0.05 * np.abs(moved).max())
+
+
+@pytest.mark.long
+def test_a_depth_sensor_does_not_make_the_factor_small() -> None:
+    """Of the true Q it is 1 in the mean of the logarithm, to 3 sigma of eight missions of 0.15."""
+    grade = GRADES["mems"]
+    q, found = grade.variances(), []
+    dvl = DvlModel(noise_std=(0.02,) * 3)
+    for seed in range(SEED, SEED + 8):
+        m = simulate(AUV, constant(q), seed=seed, duration=240.0, imu=grade.imu(), dvl=dvl)
+        settings = build(
+            FilterParameters,
+            {
+                "frame_convention": "ned",
+                "origin.height": float(AUV.h_0),
+                "dvl.noise_std": (0.02,) * 3,
+                "depth.topic": "depth",
+                "depth.noise_std": 0.01,
+                "process_noise.adaptive_factor": True,
+                "process_noise.accelerometer_variance": tuple(q[:3].tolist()),
+                "process_noise.gyroscope_variance": tuple(q[3:].tolist()),
+                "initial.mode": "set_odometry",
+                "initial.tilt_std": 0.01,
+                "initial.heading_std": 0.02,
+                "initial.velocity_std": 0.1,
+                "initial.position_std": 0.1,
+                "initial.accelerometer_bias_std": grade.accelerometer_bias,
+                "initial.gyroscope_bias_std": grade.gyroscope_bias,
+            },
+        )
+        rng = np.random.default_rng([seed, 1])
+        start = drawn_initial(m.initial, settings.initial, rng)
+        rows = slice(9, None, 10)
+        true = m.truth.p_o[rows, 2] - AUV.h_0
+        told = true + 0.01 * rng.standard_normal(len(true))
+        depths = [
+            Depth(*one) for one in zip(m.stamps_ns[rows].tolist(), told.tolist(), strict=True)
+        ]
+        pings = [Dvl(*one) for one in zip(m.dvl_stamps_ns.tolist(), m.v_d, strict=True)]
+        result = fold_arrays(settings, m.stamps_ns, m.f_b, m.w_ib_b, [start, *pings, *depths])
+        found.append(np.log(result.states["q_factor"]["factor"][-1]))
+    assert np.mean(found) == pytest.approx(0.0, abs=3.0 * 0.15 / np.sqrt(8.0))

@@ -221,9 +221,9 @@ class DepthModel(SensorModel[Depth]):
     def inflate(self, s: State, innovation: Array, seconds: float | None) -> None:
         """Doubt the height, and the vertical velocity that may have led it astray.
 
-        Not the velocity where a DVL has just told it: then it is the sensor that lags or drifts. And
-        while the sensor has not borne the filter out for long, its first depth may have been wrong:
-        the surface that was taken from it is doubted, as far as it was not told.
+        Not the velocity where a DVL has just told it: then it is the sensor that lags or drifts.
+        While the sensor has not borne the filter out for long, its first depth may have been wrong.
+        Then the surface that was taken from it is doubted, as far as it was not told.
         """
         P, variance = s["nav"]["P"], float(innovation @ innovation)
         down, rate = POSITION.start + _DOWN, VELOCITY.start + _DOWN

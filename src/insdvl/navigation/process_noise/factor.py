@@ -35,8 +35,8 @@ PAUSE = 20.0
 #: For so long [s] after its start the bank teaches nothing: all levels have the filter's estimate
 #: then, and the filter itself may just have started.
 SETTLING = 10.0
-#: For so long [s] after a glitch of the IMU nothing is learned: Q is too large while a tuner has the
-#: glitch in its window of 6 s, which it tells once a second.
+#: For so long [s] after a glitch of the IMU nothing is learned: Q is too large while a tuner has
+#: the glitch in its window of 6 s, which it tells once a second.
 GLITCH = 8.0
 
 #: Name of the group of the state record.
