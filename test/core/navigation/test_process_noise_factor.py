@@ -1,5 +1,6 @@
 """The factor on Q that the innovations tell, and the bank of filters behind it."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -21,7 +22,7 @@ from insdvl.navigation.process_noise.factor import GLITCH, SETTLING
 from insdvl.parameters.declaration import ParameterError, build
 from insdvl.simulation.grades import GRADES
 from insdvl.simulation.initial_errors import drawn_initial
-from insdvl.simulation.mission import simulate
+from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.noise import constant
 from insdvl.simulation.sensors.dvl import DvlModel
 from insdvl.simulation.trajectories import AUV
@@ -506,43 +507,67 @@ def test_what_a_depth_corrects_leaves_the_estimates_of_the_levels(run: Run) -> N
     np.testing.assert_allclose(told[1], told[0], atol=0.05 * np.abs(moved).max())
 
 
+def graded(name: str, heading_std: float, **values: Any) -> FilterParameters:
+    """A filter with the true noise and the biases of a grade of IMU."""
+    grade = GRADES[name]
+    q = grade.variances()
+    return build(
+        FilterParameters,
+        {
+            "frame_convention": "ned",
+            "origin.height": float(AUV.h_0),
+            "dvl.noise_std": (0.02,) * 3,
+            "process_noise.adaptive_factor": True,
+            "process_noise.accelerometer_variance": tuple(q[:3].tolist()),
+            "process_noise.gyroscope_variance": tuple(q[3:].tolist()),
+            "initial.mode": "set_odometry",
+            "initial.tilt_std": 0.01,
+            "initial.heading_std": heading_std,
+            "initial.velocity_std": 0.1,
+            "initial.position_std": 0.1,
+            "initial.accelerometer_bias_std": grade.accelerometer_bias,
+            "initial.gyroscope_bias_std": grade.gyroscope_bias,
+        }
+        | values,
+    )
+
+
+def graded_mission(name: str, seed: int, duration: float) -> Mission:
+    grade, dvl = GRADES[name], DvlModel(noise_std=(0.02,) * 3)
+    q = constant(grade.variances())
+    return simulate(AUV, q, seed=seed, duration=duration, imu=grade.imu(), dvl=dvl)
+
+
+def fold_graded(
+    settings: FilterParameters, m: Mission, seed: int, others: Sequence[Event] = ()
+) -> FoldResult:
+    start = drawn_initial(m.initial, settings.initial, np.random.default_rng([seed, 1]))
+    pings = [Dvl(*one) for one in zip(m.dvl_stamps_ns.tolist(), m.v_d, strict=True)]
+    return fold_arrays(settings, m.stamps_ns, m.f_b, m.w_ib_b, [start, *pings, *others])
+
+
+@pytest.mark.parametrize(
+    ("grade", "heading_std", "teaches"),
+    [("fog", 1.0, False), ("fog", 0.01, True), ("tactical", 0.03, True), ("mems", 1.0, True)],
+)
+def test_an_unknown_heading_teaches_only_where_the_bias_covers_the_earths_rate(
+    grade: str, heading_std: float, teaches: bool
+) -> None:
+    m = graded_mission(grade, SEED, 40.0)
+    learned_ns = fold_graded(graded(grade, heading_std), m, SEED).states["q_factor"]["learned_ns"]
+    assert bool(learned_ns[-1] >= 0) == teaches
+
+
 @pytest.mark.long
 def test_a_depth_sensor_does_not_make_the_factor_small() -> None:
     """Of the true Q it is 1 in the mean of the logarithm, to 3 sigma of eight missions of 0.15."""
-    grade = GRADES["mems"]
-    q, found = grade.variances(), []
-    dvl = DvlModel(noise_std=(0.02,) * 3)
+    settings = graded("mems", 0.02, **{"depth.topic": "depth", "depth.noise_std": 0.01})
+    found, rows = [], slice(9, None, 10)
     for seed in range(SEED, SEED + 8):
-        m = simulate(AUV, constant(q), seed=seed, duration=240.0, imu=grade.imu(), dvl=dvl)
-        settings = build(
-            FilterParameters,
-            {
-                "frame_convention": "ned",
-                "origin.height": float(AUV.h_0),
-                "dvl.noise_std": (0.02,) * 3,
-                "depth.topic": "depth",
-                "depth.noise_std": 0.01,
-                "process_noise.adaptive_factor": True,
-                "process_noise.accelerometer_variance": tuple(q[:3].tolist()),
-                "process_noise.gyroscope_variance": tuple(q[3:].tolist()),
-                "initial.mode": "set_odometry",
-                "initial.tilt_std": 0.01,
-                "initial.heading_std": 0.02,
-                "initial.velocity_std": 0.1,
-                "initial.position_std": 0.1,
-                "initial.accelerometer_bias_std": grade.accelerometer_bias,
-                "initial.gyroscope_bias_std": grade.gyroscope_bias,
-            },
-        )
-        rng = np.random.default_rng([seed, 1])
-        start = drawn_initial(m.initial, settings.initial, rng)
-        rows = slice(9, None, 10)
-        true = m.truth.p_o[rows, 2] - AUV.h_0
-        told = true + 0.01 * rng.standard_normal(len(true))
-        depths = [
-            Depth(*one) for one in zip(m.stamps_ns[rows].tolist(), told.tolist(), strict=True)
-        ]
-        pings = [Dvl(*one) for one in zip(m.dvl_stamps_ns.tolist(), m.v_d, strict=True)]
-        result = fold_arrays(settings, m.stamps_ns, m.f_b, m.w_ib_b, [start, *pings, *depths])
+        m = graded_mission("mems", seed, 240.0)
+        told = m.truth.p_o[rows, 2] - AUV.h_0
+        told += 0.01 * np.random.default_rng([seed, 2]).standard_normal(len(told))
+        pairs = zip(m.stamps_ns[rows].tolist(), told.tolist(), strict=True)
+        result = fold_graded(settings, m, seed, [Depth(*pair) for pair in pairs])
         found.append(np.log(result.states["q_factor"]["factor"][-1]))
     assert np.mean(found) == pytest.approx(0.0, abs=3.0 * 0.15 / np.sqrt(8.0))

@@ -6,7 +6,8 @@ know it. A bank of small filters has one for each level of the factor (bank.py);
 their innovations tell how probable each is, and that with the mean standard deviation is in effect.
 
 Only a ping that the gate takes as it is teaches, see `Filter.update`. The bank knows of no noise
-but Q: after a gap of the IMU, frozen samples, or an inflation of P it begins anew.
+but Q: after a gap of the IMU, frozen samples, or an inflation of P it begins anew, and as long as the
+heading does not tell the Earth's rate.
 
 Derivation: docs/explanation/process-noise-factor.md.
 """
@@ -19,7 +20,7 @@ from insdvl.arrays import Array
 from insdvl.navigation.coordinates import body_velocity_jacobian
 from insdvl.navigation.error_state import ACCELEROMETER_BIAS, ATTITUDE, GYROSCOPE_BIAS, VELOCITY
 from insdvl.navigation.events import NS
-from insdvl.navigation.geometry.earth import gravity
+from insdvl.navigation.geometry.earth import EARTH_RATE, gravity
 from insdvl.navigation.geometry.frames import vector_from_rotation
 from insdvl.navigation.kalman import Innovated
 from insdvl.navigation.measurements.base import Vehicle
@@ -38,6 +39,8 @@ SETTLING = 10.0
 #: For so long [s] after a glitch of the IMU nothing is learned: Q is too large while a tuner has
 #: the glitch in its window of 6 s, which it tells once a second.
 GLITCH = 8.0
+#: A heading that is known to this [rad], one sigma, tells the Earth's rate well enough.
+KNOWN_HEADING = 0.02
 
 #: Name of the group of the state record.
 GROUP = "q_factor"
@@ -60,6 +63,7 @@ FIELDS = (
 #: Counters of events in which the filter's P gets what is no process noise: from the samples. Of a
 #: single sample that is left out it gets next to nothing.
 _OF_SAMPLES = ("gaps", "saturated", "frozen", "no_data")
+_HEADING = ATTITUDE.stop - 1
 
 
 class Estimate(NamedTuple):
@@ -137,7 +141,7 @@ class Factor:
         if (m["told_ns"] == NEVER) != (s["noise"]["q_ns"] == NEVER):  # it has timed out
             self.told(s)
         is_new = m["ping_ns"] == NEVER or stamp_ns - int(m["ping_ns"]) > PAUSE * NS
-        if is_new or disturbances != m["disturbances"]:
+        if is_new or disturbances != m["disturbances"] or not self._knows_earth_rate(s):
             m["disturbances"] = disturbances
             self.restart(s)
         else:
@@ -187,6 +191,20 @@ class Factor:
         """Whether filter and bank have run for long enough, and without a glitch of the IMU."""
         begin_ns, glitch_ns = int(s[GROUP]["begin_ns"]), int(s["channels"]["step_ns"].max())
         return stamp_ns - begin_ns >= SETTLING * NS and stamp_ns - glitch_ns > GLITCH * NS
+
+    def _knows_earth_rate(self, s: State) -> bool:
+        """Whether the Earth's rate, which the bank leaves out, tilts the vehicle by too little.
+
+        As far as the heading is unknown it is an error of the turn. A bias that may be as large
+        covers it, and so does noise that tilts as much while the bank settles.
+        """
+        c = self._vehicle.constants[0]
+        if not c["earth_rate"]:
+            return True
+        unknown = EARTH_RATE * np.sqrt(s["nav"]["P"][_HEADING, _HEADING])
+        noise = np.sqrt(float(c["density"]) * np.trace(s[GROUP]["Q_w"]) / 3.0 / SETTLING)
+        bias = self._vehicle.gyroscope_bias_std
+        return bool(unknown <= max(bias, noise, EARTH_RATE * KNOWN_HEADING))
 
     def corrected(self, s: State, stamp_ns: int, before: Estimate) -> None:
         """The filter was corrected by that ping: the bank's estimates are relative to the new one.
