@@ -6,8 +6,8 @@ know it. A bank of small filters has one for each level of the factor (bank.py);
 their innovations tell how probable each is, and that with the mean standard deviation is in effect.
 
 Only a ping that the gate takes as it is teaches, see `Filter.update`. The bank knows of no noise
-but Q: after a gap of the IMU, frozen samples, or an inflation of P it begins anew, and as long as the
-heading does not tell the Earth's rate.
+but Q: after a gap of the IMU, frozen samples, or an inflation of P it begins anew, and as long as
+the heading does not tell the Earth's rate.
 
 Derivation: docs/explanation/process-noise-factor.md.
 """
