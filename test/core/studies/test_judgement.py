@@ -28,7 +28,7 @@ from insdvl.simulation.sensors.dvl import DvlModel
 from insdvl.simulation.sensors.heading import HeadingModel
 from insdvl.simulation.trajectories import BASELINE
 from insdvl.studies.judgement import innovations, refusals, verdict, withheld
-from insdvl.studies.judgement.mounting import UNKNOWNS, Change, mounting
+from insdvl.studies.judgement.mounting import DEPTH_OFFSET, UNKNOWNS, Change, mounting
 from insdvl.studies.judgement.noise import DvlNoise, imu_variances
 from insdvl.studies.judgement.verdict import Verdict
 from insdvl.studies.replay.fold import Replayed, fold_recording
@@ -483,6 +483,14 @@ def late_depth(mission: Mission) -> Mission:
     return replace(mission, depth_stamps_ns=mission.depth_stamps_ns + NS // 2)
 
 
+def low_passed(mission: Mission) -> Mission:
+    """A low-pass of first order, 0.5 s, at the 5 Hz of the sensor."""
+    pressure = mission.pressure.copy()
+    for k in range(1, pressure.size):
+        pressure[k] += math.exp(-0.2 / 0.5) * (pressure[k - 1] - pressure[k])
+    return replace(mission, pressure=pressure)
+
+
 def glitching(mission: Mission) -> Mission:
     """Three samples in a row move the height by metres: no fault of the depth that tells it."""
     f_b = mission.f_b.copy()
@@ -541,6 +549,37 @@ def test_a_dvl_whose_own_gate_complains_does_not_speak_for_itself(dive: Mission)
     counts = replayed.fold.counts
     assert counts["dvl inflations"] and counts["depth inflations"]
     assert not accused(found)
+
+
+@pytest.mark.parametrize(("change", "most"), [(late_depth, 0.6), (low_passed, 0.55)])
+def test_a_depth_that_lags_is_no_lever_arm_of_the_dvl(
+    dive: Mission, change: Callable[[Mission], Mission], most: float
+) -> None:
+    """The gate need not complain of it: the filter follows the depth, and the DVL does not."""
+    found, _ = judged(change(dive), **WITH_SENSORS)
+    (finding,) = [finding for finding in found.findings if finding.name == "mount"]
+    assert "lever arm" not in finding.text
+    assert re.search(r"stamps of the depth sensor are 0\.\d\d s late", finding.text)
+    (offset,) = re.findall(r"set depth.time_offset to (-0\.\d+) s", finding.remedy)
+    assert 0.3 < -float(offset) < most
+
+
+def test_a_lever_arm_of_the_dvl_is_no_lag_of_the_depth(dive: Mission) -> None:
+    arm = np.array([1.0, 0.0, 0.0])
+    at = np.searchsorted(dive.stamps_ns, dive.dvl_stamps_ns)
+    moved = replace(dive, v_d=dive.v_d + np.cross(dive.w_ib_b[at], arm))
+    found, _ = judged(moved, **WITH_SENSORS)
+    (finding,) = [finding for finding in found.findings if finding.name == "mount"]
+    assert "lever arm of the DVL" in finding.text and "depth" not in finding.text
+
+
+def test_the_offset_of_the_depth_is_added_to_what_is_told() -> None:
+    told = build(FilterParameters, RIGHT | {"depth.topic": DEPTH, "depth.time_offset": -0.2})
+    change = Change(DEPTH_OFFSET, -0.3, 0.03)
+    assert verdict._change(change, told) == (
+        "the stamps of the depth sensor are 0.30 s late (sigma 0.03)",
+        "set depth.time_offset to -0.500 s",
+    )
 
 
 def test_every_sensor_but_the_dvl_has_something_to_look_at() -> None:

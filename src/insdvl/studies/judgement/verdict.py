@@ -20,6 +20,7 @@ from insdvl.studies.judgement.finding import Finding
 from insdvl.studies.judgement.innovations import FACTOR, FEWEST, SIGMAS, statistics
 from insdvl.studies.judgement.mounting import (
     ARMS,
+    DEPTH_OFFSET,
     MOUNT_SIGMAS,
     Change,
     Mount,
@@ -241,11 +242,14 @@ def _change(change: Change, parameters: FilterParameters) -> tuple[str, str]:
             f"the lever arm of the DVL is off by {value:+.2f} m in {name[-1]} (sigma {sigma:.2f})",
             f"set dvl.lever_arm to {_list(dvl.lever_arm, 2)} m",
         )
-    if name == "time_offset":
+    if name in ("time_offset", DEPTH_OFFSET.name):
         late = "late" if value < 0.0 else "early"
+        label, group, told = "DVL", "dvl", parameters.dvl.time_offset
+        if name == DEPTH_OFFSET.name:
+            label, group, told = "depth sensor", "depth", parameters.depth.time_offset
         return (
-            f"the stamps of the DVL are {abs(value):.2f} s {late} (sigma {sigma:.2f})",
-            f"set dvl.time_offset to {parameters.dvl.time_offset + value:.3f} s",
+            f"the stamps of the {label} are {abs(value):.2f} s {late} (sigma {sigma:.2f})",
+            f"set {group}.time_offset to {told + value:.3f} s",
         )
     return (
         f"the DVL's velocities are {-100.0 * value:+.1f} % wrong (sigma {100.0 * sigma:.1f})",
