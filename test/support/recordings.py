@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from pathlib import Path
 
+from insdvl.messages.topics import DEPTH, HEADING
 from insdvl.recordings.bag_writer import BagWriter
 from insdvl.recordings.base import Raw, encode
 from insdvl.recordings.messages import message_of
@@ -10,7 +11,9 @@ from insdvl.recordings.parameters import ReplayParameters
 from insdvl.simulation.messages import (
     StreamFormat,
     Timed,
+    depth_messages,
     dvl_messages,
+    heading_messages,
     imu_messages,
     process_noise_messages,
     truth_messages,
@@ -34,6 +37,8 @@ def record(mission: Mission, *, every: int = 1) -> list[Raw]:
         ("/imu", 0, imu_messages(mission, message_of, FORM)),
         ("/truth", 1, truth),
         ("/dvl", 2, dvl_messages(mission, message_of, FORM)),
+        (f"/{DEPTH}", 2, depth_messages(mission, message_of, FORM)),
+        (f"/{HEADING}", 2, heading_messages(mission, message_of, FORM)),
         ("/true_q", 3, process_noise_messages(mission, message_of, FORM)),
     ]
     raws = [

@@ -323,6 +323,7 @@ TOPICS: tuple[Topic, ...] = (
         parameter="depth.topic",
         taken=lambda parameters: bool(parameters.depth.topic),
         frames=MappingProxyType({"header.frame_id": "depth.frame_id"}),
+        time_offset="depth.time_offset",
     ),
     Topic(
         HEADING,

@@ -157,7 +157,7 @@ class FilterParameters:
 
     def _check_time_offsets(self) -> None:
         earliest = self.imu.time_offset - self.max_delay
-        for sensor in ("dvl", "heading"):
+        for sensor in SENSORS:
             if (offset := getattr(self, sensor).time_offset) < earliest:
                 raise ParameterError(
                     f"parameter '{sensor}.time_offset' must be at least imu.time_offset - "

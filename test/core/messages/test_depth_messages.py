@@ -156,6 +156,18 @@ def test_refusals_are_counted_under_the_topic() -> None:
     }
 
 
+def test_a_late_stamp_is_corrected() -> None:
+    found = feed(**{"depth.time_offset": -0.5})
+    found.give(IMU, at_rest(0))
+    for message in (
+        pressure(ATMOSPHERE + 9.0 * WEIGHT),
+        height(POSE, -9.0),
+        height(ODOMETRY, -9.0),
+    ):
+        (fed,) = found.give("sensors/depth", message)
+        assert fed.event.stamp_ns == STAMP - NS // 2
+
+
 def test_any_object_with_the_fields_will_do() -> None:
     """A message of rclpy, of a recording, or of a test."""
     stamp = SimpleNamespace(sec=5, nanosec=0)

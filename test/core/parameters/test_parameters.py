@@ -163,10 +163,13 @@ def test_a_wrong_value_is_named_with_what_is_allowed(name: str, value: Any, expe
 
 
 CONTRADICTIONS = [
-    (
-        FilterParameters,
-        {"dvl.time_offset": -2.5},
-        "'dvl.time_offset' must be at least imu.time_offset - max_delay",
+    *(
+        (
+            FilterParameters,
+            {f"{sensor}.time_offset": -2.5},
+            f"'{sensor}.time_offset' must be at least imu.time_offset - max_delay",
+        )
+        for sensor in ("dvl", "depth", "heading")
     ),
     (FilterParameters, {"output_delay": 3.0, "max_delay": 2.0}, "'output_delay' must be at most"),
     (

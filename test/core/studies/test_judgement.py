@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -11,19 +12,23 @@ from recordings import record
 from scipy import stats
 
 from insdvl.arrays import Array
+from insdvl.messages.topics import DEPTH, HEADING
 from insdvl.navigation.events import NS, Imu, ProcessNoise
 from insdvl.navigation.filter import Filter
+from insdvl.navigation.geometry.frames import rotation_from_vector
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.measurements.report import UpdateReport
-from insdvl.navigation.parameters import FilterParameters
+from insdvl.navigation.parameters import SENSORS, FilterParameters
 from insdvl.parameters.declaration import build
 from insdvl.simulation.mission import Mission, simulate
 from insdvl.simulation.motion import Channel, Trajectory, Wave
 from insdvl.simulation.noise import SCENARIOS, constant
+from insdvl.simulation.sensors.depth import DepthModel
 from insdvl.simulation.sensors.dvl import DvlModel
+from insdvl.simulation.sensors.heading import HeadingModel
 from insdvl.simulation.trajectories import BASELINE
-from insdvl.studies.judgement import innovations, verdict, withheld
-from insdvl.studies.judgement.mounting import UNKNOWNS, Change, mounting
+from insdvl.studies.judgement import innovations, refusals, verdict, withheld
+from insdvl.studies.judgement.mounting import DEPTH_OFFSET, UNKNOWNS, Change, mounting
 from insdvl.studies.judgement.noise import DvlNoise, imu_variances
 from insdvl.studies.judgement.verdict import Verdict
 from insdvl.studies.replay.fold import Replayed, fold_recording
@@ -48,6 +53,8 @@ TOPICS = {
     "/dvl": "dvl/velocity",
     "/truth": "ground_truth/odometry",
     "/true_q": "ground_truth/process_noise",
+    f"/{DEPTH}": DEPTH,
+    f"/{HEADING}": HEADING,
 }
 
 
@@ -293,17 +300,17 @@ def test_refusals_by_name_are_told_with_their_remedy() -> None:
         "dvl_accepted": 50,
         "dvl_rejected_by_reason": {"no_lock": 48, "gate": 2},
     }
-    (finding,) = verdict._of_claims(document, filter_)
+    (finding,) = refusals.of_claims(document, filter_)
     assert finding.text.startswith("48 % of the DVL was refused (no_lock 48)")
     assert "bottom lock" in finding.remedy
-    assert not list(verdict._of_gate(document, None, filter_))
+    assert not list(refusals.of_gate(document, None, filter_))
     document["dvl_rejected_by_reason"] = {"gate": 50}
-    assert not list(verdict._of_claims(document, filter_))
-    (finding,) = verdict._of_gate(document, None, filter_)
+    assert not list(refusals.of_claims(document, filter_))
+    (finding,) = refusals.of_gate(document, None, filter_)
     assert finding.text == "50 % of the DVL was refused (gate 50)"
     assert "contradict each other" in finding.remedy
     fits = {"nis_median": 2.4, "nis_median_expected": 2.37}
-    (finding,) = verdict._of_gate(document, fits, filter_)
+    (finding,) = refusals.of_gate(document, fits, filter_)
     assert "outliers" in finding.remedy
 
 
@@ -437,3 +444,143 @@ def test_the_line_names_what_is_wrong_and_what_to_set(case: str, seed: int) -> N
 def test_right_configurations_have_no_finding(seed: int) -> None:
     found, _ = judged(flown(seed))
     assert found.findings == [], found.judgement
+
+
+# ---------------------------------------------------------------- a sensor that contradicts the DVL
+
+#: The same, down and up by 0.4 m/s.
+DIVING = replace(TRAJECTORY, pitch=Channel(waves=(Wave(math.radians(15.0), 40.0),)))
+WITH_SENSORS = {
+    "origin.height": float(TRAJECTORY.h_0),
+    "depth.topic": DEPTH,
+    "heading.topic": HEADING,
+}
+PASCAL_PER_M = 1025.0 * 9.80665
+
+
+@pytest.fixture(scope="module")
+def dive() -> Mission:
+    sensors = {"depth": DepthModel(rate=5.0), "heading": HeadingModel(rate=5.0)}
+    noise = SCENARIOS["constant-tableI"]
+    return simulate(DIVING, noise, seed=11, dvl=DVL, duration=110.0, start_ns=NS, **sensors)
+
+
+def past_steel(mission: Mission) -> Mission:
+    """The compass turns smoothly by 30 deg and back within 20 s."""
+    t = np.clip((mission.heading_stamps_ns / NS - 41.0) / 20.0, 0.0, 1.0)
+    turns = np.zeros((t.size, 3))
+    turns[:, 2] = math.radians(30.0) * np.sin(math.pi * t) ** 2
+    return replace(mission, attitude=rotation_from_vector(turns) @ mission.attitude)
+
+
+def drifting(mission: Mission) -> Mission:
+    """The depth drifts by 5 cm/s from half a minute on."""
+    metres = 0.05 * np.clip(mission.depth_stamps_ns / NS - 31.0, 0.0, None)
+    return replace(mission, pressure=mission.pressure + PASCAL_PER_M * metres)
+
+
+def late_depth(mission: Mission) -> Mission:
+    return replace(mission, depth_stamps_ns=mission.depth_stamps_ns + NS // 2)
+
+
+def low_passed(mission: Mission) -> Mission:
+    """A low-pass of first order, 0.5 s, at the 5 Hz of the sensor."""
+    pressure = mission.pressure.copy()
+    for k in range(1, pressure.size):
+        pressure[k] += math.exp(-0.2 / 0.5) * (pressure[k - 1] - pressure[k])
+    return replace(mission, pressure=pressure)
+
+
+def glitching(mission: Mission) -> Mission:
+    """Three samples in a row move the height by metres: no fault of the depth that tells it."""
+    f_b = mission.f_b.copy()
+    f_b[5000:5003, 2] += 80.0
+    return replace(mission, f_b=f_b)
+
+
+def accused(found: Verdict) -> set[str]:
+    """Names of the findings that are of a sensor beside the DVL."""
+    return {finding.name for finding in found.findings if finding.name.endswith("_sensor")}
+
+
+@pytest.mark.parametrize(
+    ("change", "name", "remedy"),
+    [
+        (past_steel, "heading", "steel"),
+        (drifting, "depth", "drift"),
+        (late_depth, "depth", "depth.time_offset"),
+        (lambda mission: past_steel(glitching(mission)), "heading", "steel"),
+    ],
+)
+def test_the_sensor_that_contradicts_filter_and_dvl_is_named_first(
+    dive: Mission, change: Callable[[Mission], Mission], name: str, remedy: str
+) -> None:
+    found, _ = judged(change(dive), **WITH_SENSORS)
+    first = found.findings[0]
+    assert first.name == f"{name}_sensor", found.judgement
+    assert f"{name} sensor contradicts the filter, and the DVL does not" in first.text
+    assert remedy in first.remedy
+    assert accused(found) == {first.name}
+
+
+def test_a_compass_that_the_gate_refuses_is_named_with_the_share(dive: Mission) -> None:
+    turn = rotation_from_vector(np.array([0.0, 0.0, 0.5]))
+    off = (dive.heading_stamps_ns // NS > 40) & (dive.heading_stamps_ns // NS < 70)
+    jumped = replace(
+        dive, attitude=np.where(off[:, None, None], turn @ dive.attitude, dive.attitude)
+    )
+    (finding,) = judged(jumped, **WITH_SENSORS)[0].findings
+    assert re.search(r"its gate refused 4\d of 1\d\d \(inflations 0, restarts 0\)", finding.text)
+
+
+@pytest.mark.parametrize("change", [lambda mission: mission, glitching])
+def test_no_sensor_is_named_that_is_right(
+    dive: Mission, change: Callable[[Mission], Mission]
+) -> None:
+    found, replayed = judged(change(dive), **WITH_SENSORS)
+    assert not accused(found)
+    assert change is not glitching or replayed.fold.counts["depth inflations"]
+
+
+def test_a_dvl_whose_own_gate_complains_does_not_speak_for_itself(dive: Mission) -> None:
+    """Turned by 5 deg in pitch it pulls the filter off a right depth."""
+    turned = replace(dive, v_d=dive.v_d @ rotation_from_vector(np.array([0.0, 0.087, 0.0])).T)
+    found, replayed = judged(turned, **WITH_SENSORS)
+    counts = replayed.fold.counts
+    assert counts["dvl inflations"] and counts["depth inflations"]
+    assert not accused(found)
+
+
+@pytest.mark.parametrize(("change", "most"), [(late_depth, 0.6), (low_passed, 0.55)])
+def test_a_depth_that_lags_is_no_lever_arm_of_the_dvl(
+    dive: Mission, change: Callable[[Mission], Mission], most: float
+) -> None:
+    """The gate need not complain of it: the filter follows the depth, and the DVL does not."""
+    found, _ = judged(change(dive), **WITH_SENSORS)
+    (finding,) = [finding for finding in found.findings if finding.name == "mount"]
+    assert "lever arm" not in finding.text
+    assert re.search(r"stamps of the depth sensor are 0\.\d\d s late", finding.text)
+    (offset,) = re.findall(r"set depth.time_offset to (-0\.\d+) s", finding.remedy)
+    assert 0.3 < -float(offset) < most
+
+
+def test_a_lever_arm_of_the_dvl_is_no_lag_of_the_depth(dive: Mission) -> None:
+    arm = np.array([1.0, 0.0, 0.0])
+    at = np.searchsorted(dive.stamps_ns, dive.dvl_stamps_ns)
+    moved = replace(dive, v_d=dive.v_d + np.cross(dive.w_ib_b[at], arm))
+    found, _ = judged(moved, **WITH_SENSORS)
+    (finding,) = [finding for finding in found.findings if finding.name == "mount"]
+    assert "lever arm of the DVL" in finding.text and "depth" not in finding.text
+
+
+def test_the_offset_of_the_depth_is_added_to_what_is_told() -> None:
+    told = build(FilterParameters, RIGHT | {"depth.topic": DEPTH, "depth.time_offset": -0.2})
+    change = Change(DEPTH_OFFSET, -0.3, 0.03)
+    assert verdict._change(change, told) == (
+        "the stamps of the depth sensor are 0.30 s late (sigma 0.03)",
+        "set depth.time_offset to -0.500 s",
+    )
+
+
+def test_every_sensor_but_the_dvl_has_something_to_look_at() -> None:
+    assert {*refusals.LOOK_AT, "dvl"} == set(SENSORS)

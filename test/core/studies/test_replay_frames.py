@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from recordings import FORM, record, save
+from recordings import record, save
 from scipy.spatial.transform import Rotation
 from told import TOLD
 
@@ -18,8 +18,6 @@ from insdvl.navigation.parameters import FilterParameters
 from insdvl.parameters.declaration import build
 from insdvl.recordings.bag_reader import BagReader
 from insdvl.recordings.base import Raw, decode, encode, new_message
-from insdvl.recordings.messages import message_of
-from insdvl.simulation.messages import heading_messages
 from insdvl.simulation.mission import simulate
 from insdvl.simulation.noise import constant
 from insdvl.simulation.sensors.dvl import DvlModel
@@ -46,11 +44,7 @@ def raws() -> list[Raw]:
         heading=HeadingModel(rate=2.0),
         dvl=DvlModel(mount=(MOUNT[0], -MOUNT[1], -MOUNT[2]), lever_arm=(ARM[0], -ARM[1], -ARM[2])),
     )
-    told = [
-        encode(f"/{HEADING}", timed.time_ns, timed.message)
-        for timed in heading_messages(mission, message_of, FORM)
-    ]
-    return sorted([*record(mission), *told], key=lambda raw: raw.time_ns)
+    return record(mission)
 
 
 def static(*frames: tuple[str, str, Any, Any]) -> Raw:

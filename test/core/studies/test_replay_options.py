@@ -20,7 +20,7 @@ from insdvl.messages.topics import DVL, IMU, MEASUREMENT_NOISE, PROCESS_NOISE
 from insdvl.navigation.events import Event
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import DvlParameters, FilterParameters, GateParameters
-from insdvl.studies.judgement.noise_in_force import NoiseInForce
+from insdvl.studies.judgement.noise import NoiseInForce
 from insdvl.studies.replay import command
 from insdvl.studies.replay.inputs.learning import Learned, LearnedOfDvl
 from insdvl.studies.replay.inputs.watched import interruption

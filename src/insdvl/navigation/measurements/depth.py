@@ -30,7 +30,7 @@ from insdvl.navigation.measurements.base import (
     Vehicle,
 )
 from insdvl.navigation.state.fields import NEVER, State
-from insdvl.parameters.declaration import lever_arm, parameter
+from insdvl.parameters.declaration import lever_arm, parameter, time_offset
 
 #: Gravity [m/s^2] with which a pressure is turned into a depth before the latitude is known.
 STANDARD_GRAVITY = 9.80665
@@ -85,6 +85,7 @@ class DepthParameters(SensorParameters):
         "odometry it is the child_frame_id.",
     )
     lever_arm: tuple[float, ...] = lever_arm("depth sensor")
+    time_offset: float = time_offset("depth sensor")
     noise_std: float = parameter(
         0.02,
         "Noise of the depth, one sigma; a variance in the message replaces it.",

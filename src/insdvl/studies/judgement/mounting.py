@@ -1,6 +1,6 @@
-"""How far mount, lever arm, stamps and scale of the DVL are off, by the innovations.
+"""How far mount, lever arm, stamps and scale of the DVL are off, or the stamps of a depth sensor.
 
-The innovations of a filter are white. What is told wrongly leaves a pattern in them: that by which
+The innovations of the DVL are white. What is told wrongly leaves a pattern in them: that by which
 they change when it is told a little otherwise. So the recording is folded again, with one thing
 after the other changed by a little, and the values are those under which the innovations are the
 most probable. The model is in docs/explanation/verdict.md.
@@ -9,6 +9,7 @@ most probable. The model is in docs/explanation/verdict.md.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from insdvl.navigation.geometry.frames import (
     rotation_from_vector,
     rpy_from_rotation,
 )
+from insdvl.navigation.measurements.depth import Depth
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.studies.judgement.added_noise import noisier
@@ -32,7 +34,7 @@ AVERAGE = 0.05
 END = 0.5
 #: Fewest innovations from which anything is estimated.
 FEWEST = 50
-#: Sigmas of an unknown of the mount: the chance of any of eight is that of one other rule.
+#: Sigmas of an unknown of the mount: the chance of any of nine is that of one other rule.
 MOUNT_SIGMAS = 4.0
 #: How often noise is added where something seems wrong.
 REPEATS = 8
@@ -42,7 +44,7 @@ LONGEST_ARM = 15.0
 
 @dataclass(frozen=True)
 class Unknown:
-    """Something that was told of the DVL.
+    """Something that was told of the DVL, or of the depth sensor beside it.
 
     Attributes:
         name: In the JSON document.
@@ -63,6 +65,12 @@ UNKNOWNS = (
     *(Unknown(name, 0.1, 0.02) for name in ARMS),
     Unknown("time_offset", 0.02, 0.005),
     Unknown("scale", 0.01, 0.002),
+)
+#: Of the depth sensor [s]: a lag pulls the vertical velocity off in a dive, and the DVL shows it.
+DEPTH_OFFSET = Unknown("depth_time_offset", 0.1, 0.02)
+#: Whose stamps an unknown shifts.
+_SHIFTED: Mapping[str, type[Event]] = MappingProxyType(
+    {"time_offset": Dvl, DEPTH_OFFSET.name: Depth}
 )
 NAMES = tuple(unknown.name for unknown in UNKNOWNS)
 
@@ -124,10 +132,11 @@ def told_otherwise(
         arm = list(dvl.lever_arm)
         arm[ARMS.index(unknown.name)] += change
         return replace(parameters, dvl=replace(dvl, lever_arm=tuple(arm))), events
-    if unknown.name == "time_offset":
+    if shifted := _SHIFTED.get(unknown.name):
         later_ns = round(change * NS)
         return parameters, [
-            replace(e, stamp_ns=e.stamp_ns + later_ns) if isinstance(e, Dvl) else e for e in events
+            replace(e, stamp_ns=e.stamp_ns + later_ns) if isinstance(e, shifted) else e
+            for e in events
         ]
     return parameters, [
         replace(e, v_d=e.v_d + change * predicted[e.stamp_ns])
@@ -157,7 +166,8 @@ def mounting(
 ) -> tuple[Change, ...] | None:
     """The changes of all `UNKNOWNS` that the innovations ask for; None where they are too few.
 
-    Each is as if it were the only one.
+    Each is as if it were the only one. Where there is a depth sensor the last one is
+    `DEPTH_OFFSET`.
 
     Args:
         taken: What was folded.
@@ -174,13 +184,14 @@ def mounting(
         for e in part.events
         if e.stamp_ns <= last_ns and (not isinstance(e, Dvl) or e.stamp_ns in used)
     ]
-    sums = _sums(part, parameters, UNKNOWNS)
+    every = (*UNKNOWNS, DEPTH_OFFSET) if parameters.depth.topic else UNKNOWNS
+    sums = _sums(part, parameters, every)
     if sums is None:
         return None
-    changes = _changes(UNKNOWNS, sums)
+    changes = _changes(every, sums)
     suspected = [k for k, change in enumerate(changes) if change.matters]
     if suspected:
-        unknowns = [UNKNOWNS[k] for k in suspected]
+        unknowns = [every[k] for k in suspected]
         kept = Sums(sums.information[suspected], sums.gradient[suspected], sums.variance[suspected])
         noisy = [
             _sums(noisier(part, parameters, rng), parameters, unknowns) for _ in range(REPEATS)

@@ -14,27 +14,27 @@ from insdvl.studies.judgement.mounting import Mount
 from insdvl.studies.replay.fold import Replayed
 
 
-def refusals(document: dict[str, Any]) -> Counter[str]:
-    """Refused measurements of the DVL by reason, without those that nothing could judge."""
-    return Counter(document["dvl_rejected_by_reason"])
+def refusals(document: dict[str, Any], sensor: str) -> Counter[str]:
+    """Refused measurements of a sensor by reason, without those that nothing could judge."""
+    return Counter(document[f"{sensor}_rejected_by_reason"])
 
 
-def by_name(document: dict[str, Any]) -> Counter[str]:
+def by_name(document: dict[str, Any], sensor: str) -> Counter[str]:
     """Those that were not refused by the gate: no lock, repeated, late, of another frame."""
-    reasons = refusals(document)
+    reasons = refusals(document, sensor)
     reasons.pop("gate", None)
     return reasons
 
 
-def judged_count(document: dict[str, Any]) -> int:
-    """Number of measurements of the DVL that the filter could judge."""
-    return int(refusals(document).total() + document["dvl_accepted"])
+def judged_count(document: dict[str, Any], sensor: str) -> int:
+    """Number of measurements of a sensor that the filter could judge."""
+    return int(refusals(document, sensor).total() + document[f"{sensor}_accepted"])
 
 
-def refused_share(document: dict[str, Any]) -> float | None:
+def refused_share(document: dict[str, Any], sensor: str) -> float | None:
     """Share of those that were refused."""
-    count = judged_count(document)
-    return refusals(document).total() / count if count else None
+    count = judged_count(document, sensor)
+    return refusals(document, sensor).total() / count if count else None
 
 
 def biases(filter_: Filter, replayed: Replayed) -> dict[str, Any] | None:

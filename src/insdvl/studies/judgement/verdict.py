@@ -6,7 +6,6 @@ recording.
 """
 
 import math
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -14,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from insdvl.files import finite
-from insdvl.navigation.filter import Filter
 from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.navigation.parameters import FilterParameters
 from insdvl.navigation.start.automatic import USEFUL_HEADING
@@ -22,6 +20,7 @@ from insdvl.studies.judgement.finding import Finding
 from insdvl.studies.judgement.innovations import FACTOR, FEWEST, SIGMAS, statistics
 from insdvl.studies.judgement.mounting import (
     ARMS,
+    DEPTH_OFFSET,
     MOUNT_SIGMAS,
     Change,
     Mount,
@@ -36,11 +35,11 @@ from insdvl.studies.judgement.numbers import (
     changes,
     judged_count,
     position,
-    refusals,
     refused_share,
 )
 from insdvl.studies.judgement.outages import Outage, of_dvl_outages, of_imu_outages, outages_of
 from insdvl.studies.judgement.pose import against_reference, of_pose, of_velocity
+from insdvl.studies.judgement.refusals import of_claims, of_gate, of_sensors
 from insdvl.studies.judgement.withheld import WINDOWS, Withheld, predictions
 from insdvl.studies.replay.fold import Replayed
 from insdvl.studies.replay.taken import MOST
@@ -48,8 +47,6 @@ from insdvl.watch.start import DIVERGED
 
 #: Seed of the noise that is added to find what noise makes of the mount.
 SEED = 0
-#: Share of the measurements that are refused, beyond which it is a finding.
-REFUSED = 0.02
 #: Correlation of neighbours, and mean innovation in its sigmas, beyond which they matter.
 CORRELATED, OFFSET = 0.2, 0.2
 
@@ -102,14 +99,15 @@ def verdict(replayed: Replayed, parameters: FilterParameters, document: dict[str
     ]
     imu = imu_variances(part)
     reference = against_reference(replayed.at_reference)
-    claims, start = list(_of_claims(document, filter_)), list(_of_start(document))
+    claims, start = list(of_claims(document, filter_)), list(_of_start(document))
     # Without most of the DVL neither heading nor position can be found: then that is the cause.
-    is_cause = 2 * by_name(document).total() > judged_count(document)
+    is_cause = 2 * by_name(document, Dvl.name).total() > judged_count(document, Dvl.name)
     outages = outages_of(replayed)
     findings = [*_of_axes(replayed), *diverged, *of_imu_outages(outages)]
     findings += [*(claims if is_cause else []), *of_dvl_outages(outages)]
     prediction: list[Finding] = []
     if is_meaningful:
+        findings += of_sensors(replayed, document)
         prediction = list(_of_prediction(innovations, noise, withheld, parameters, imu))
         pose = list(of_pose(reference, document, parameters))
         # A Q that is too small makes errors of the pose beyond its sigma, but no heading far off.
@@ -123,7 +121,7 @@ def verdict(replayed: Replayed, parameters: FilterParameters, document: dict[str
         findings += [
             *_of_dvl_noise(noise, parameters),
             *_of_mount(mount, parameters),
-            *_of_gate(document, innovations, filter_),
+            *of_gate(document, innovations, filter_),
             *prediction,
             *_of_biases(document),
             *_of_whiteness(innovations, noise),
@@ -131,7 +129,7 @@ def verdict(replayed: Replayed, parameters: FilterParameters, document: dict[str
         ]
     numbers = {
         "innovations": innovations,
-        "refused_share": refused_share(document),
+        "refused_share": refused_share(document, Dvl.name),
         "dvl_outages": outages.numbers,
         "biases": biases(filter_, replayed),
         "position": position(replayed),
@@ -213,43 +211,6 @@ def _of_start(document: dict[str, Any]) -> Iterator[Finding]:
             yield Finding("heading", text, f"set {remedy}")
 
 
-def _of_claims(document: dict[str, Any], filter_: Filter) -> Iterator[Finding]:
-    """What is refused by name: no lock, repeated, too fast, late, of another frame."""
-    reasons = by_name(document)
-    if not reasons or reasons.total() < REFUSED * judged_count(document):
-        return
-    reason, _ = reasons.most_common(1)[0]
-    remedy = filter_.parameters.dvl.REMEDIES.get(
-        reason, "see in the report when; diagnostics.md has what the reasons mean"
-    )
-    text = f"{_share(reasons, document)}, and NIS says nothing of it"
-    yield Finding("refused", text, remedy)
-
-
-def _of_gate(
-    document: dict[str, Any], innovations: dict[str, Any] | None, filter_: Filter
-) -> Iterator[Finding]:
-    """The gate refuses one good measurement in a thousand (gate.probability)."""
-    count, refused = judged_count(document), refusals(document)["gate"]
-    expected = (1.0 - filter_.parameters.gate.probability) * count
-    if refused <= max(expected + SIGMAS * math.sqrt(expected) + 1.0, REFUSED * count):
-        return
-    if innovations and innovations["nis_median"] < FACTOR * innovations["nis_median_expected"]:
-        remedy = "the others fit: these are outliers of the DVL; see in the report when"
-    else:
-        remedy = (
-            "the DVL and the prediction contradict each other; check dvl.mount, dvl.lever_arm and "
-            "dvl.time_offset, then process_noise, and see in the report when"
-        )
-    yield Finding("gate", _share(Counter(gate=refused), document), remedy)
-
-
-def _share(reasons: Counter[str], document: dict[str, Any]) -> str:
-    names = ", ".join(f"{name} {n}" for name, n in reasons.most_common(3))
-    share = 100.0 * reasons.total() / judged_count(document)
-    return f"{share:.0f} % of the DVL was refused ({names})"
-
-
 def _of_mount(mount: Mount | None, parameters: FilterParameters) -> Iterator[Finding]:
     """The one change that makes the innovations the most probable, and those nearly as good."""
     if mount is None:
@@ -281,11 +242,14 @@ def _change(change: Change, parameters: FilterParameters) -> tuple[str, str]:
             f"the lever arm of the DVL is off by {value:+.2f} m in {name[-1]} (sigma {sigma:.2f})",
             f"set dvl.lever_arm to {_list(dvl.lever_arm, 2)} m",
         )
-    if name == "time_offset":
+    if name in ("time_offset", DEPTH_OFFSET.name):
         late = "late" if value < 0.0 else "early"
+        label, group, told = "DVL", "dvl", parameters.dvl.time_offset
+        if name == DEPTH_OFFSET.name:
+            label, group, told = "depth sensor", "depth", parameters.depth.time_offset
         return (
-            f"the stamps of the DVL are {abs(value):.2f} s {late} (sigma {sigma:.2f})",
-            f"set dvl.time_offset to {parameters.dvl.time_offset + value:.3f} s",
+            f"the stamps of the {label} are {abs(value):.2f} s {late} (sigma {sigma:.2f})",
+            f"set {group}.time_offset to {told + value:.3f} s",
         )
     return (
         f"the DVL's velocities are {-100.0 * value:+.1f} % wrong (sigma {100.0 * sigma:.1f})",

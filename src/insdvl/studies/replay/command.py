@@ -22,7 +22,7 @@ from insdvl.recordings.played import Recording
 from insdvl.studies.arguments.output import TERMINAL
 from insdvl.studies.document import check_place, write_document
 from insdvl.studies.judgement.incidents import incidents_of
-from insdvl.studies.judgement.noise_in_force import NoiseInForce
+from insdvl.studies.judgement.noise import NoiseInForce
 from insdvl.studies.judgement.verdict import Verdict, verdict
 from insdvl.studies.replay.fold import Replayed, fold_recording, read
 from insdvl.studies.replay.inputs.between import Between

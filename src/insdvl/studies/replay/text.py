@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
+from insdvl.navigation.measurements.dvl import Dvl
 from insdvl.studies.judgement.numbers import refusals
 from insdvl.terminal import Line
 
@@ -153,7 +154,7 @@ def _numbers(document: dict[str, Any], numbers: dict[str, Any]) -> Iterator[tupl
             f"should be {innovations['nis_median_expected']:.2f}",
         )
     if (share := numbers["refused_share"]) is not None:
-        by = ", ".join(f"{name} {count}" for name, count in refusals(document).items())
+        by = ", ".join(f"{name} {count}" for name, count in refusals(document, Dvl.name).items())
         yield "refused", f"{100.0 * share:.1f} % of the DVL" + (f" ({by})" if by else "")
     if (outages := numbers["dvl_outages"])["count"]:
         yield (
