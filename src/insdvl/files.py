@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 _HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 _SHOWN = 200  # characters of a value in a message
-MAX_PART_BYTES = 4 * 2**20  # of a page's numbers; a thousand hours of soak have as much
+MAX_PART_BYTES = 2**24  # of the numbers of a part of a page, of a hundred missions of 66 vehicles
 
 
 def read(path: Path, limit: int) -> bytes:
