@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -231,3 +232,21 @@ def test_a_first_depth_that_is_wrong_moves_a_height_of_a_known_surface_no_farthe
     wrong = Depth(first.stamp_ns, first.depth + 5.0)
     flown = fly(m, "tactical", [*pings(m), wrong, *others], **known)
     assert np.abs(flown.down[1000:] / flown.sigma_down[1000:]).max() < 4.0
+
+
+@GRADE
+@pytest.mark.parametrize("rate", [5.0, 1.0])
+def test_a_glitch_of_the_imu_leaves_no_wrong_height(grade: str, rate: float) -> None:
+    """Three samples of 80 m/s^2, 2.4 m/s for up to a second.
+
+    The ping behind them tells the velocity, and with it to a tenth how far it has moved the height.
+    """
+    m = mission(grade)
+    events = pings(m)[:: round(5.0 / rate)]
+    f_b = m.f_b.copy()
+    f_b[5022:5025, 2] += 80.0
+    flown = fly(replace(m, f_b=f_b), grade, [*events, *depths(m, true_depth(m))])
+    clean = fly(m, grade, [*events, *depths(m, true_depth(m))])
+    assert flown.refused == clean.refused == 0
+    assert np.abs(flown.down[5200:] - clean.down[5200:]).max() < 0.25
+    assert np.abs(flown.velocity[5200:]).max() < 0.2

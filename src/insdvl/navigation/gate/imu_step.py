@@ -65,17 +65,20 @@ def explains(
 def _impulses(s: State, vehicle: Vehicle, i: int, stamp_ns: int, n: int) -> Array:
     """Error state (n, 3) at a stamp by unit impulses about NED's axes in the triad of channel i.
 
-    For `invariant` a turn psi has dv = ([v x] + [g x] t) psi after the time t, for `ned` without
-    [v x]. The position stays in metres.
+    After the time t a change of the velocity dv has moved the position by t dv. For `invariant` a
+    turn psi has dv = ([v x] + [g x] t) psi, for `ned` without [v x]; in metres it has moved the
+    position by t^2 / 2 [g x] psi.
     """
     A = np.zeros((n, 3))
-    if i < 3:
-        A[VELOCITY] = np.eye(3)
-        return A
-    A[ATTITUDE] = np.eye(3)
     seconds = (stamp_ns - int(s["channels"]["step_ns"][i])) / NS
-    A[VELOCITY] = seconds * shown.gravity_matrix(s["nav"])
+    if i < 3:
+        A[VELOCITY], A[POSITION] = np.eye(3), seconds * np.eye(3)
+        return A
+    g_x = shown.gravity_matrix(s["nav"])
+    A[ATTITUDE] = np.eye(3)
+    A[VELOCITY] = seconds * g_x
     if vehicle.invariant:
         A[VELOCITY] += cross_matrix(s["nav"]["v_n"])
     A[POSITION] = coordinates.turns_position(s, invariant=vehicle.invariant)
+    A[POSITION] += seconds**2 / 2.0 * g_x
     return A
