@@ -44,6 +44,7 @@ class FixParameters(SensorParameters):
     """The sensor; it has none."""
 
     topic: str = ""
+    time_offset: float = 0.0
 
     EVENT = Fix
 

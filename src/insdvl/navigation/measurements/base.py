@@ -269,12 +269,14 @@ class SensorParameters:
     """Parameters of a sensor; a field of `FilterParameters` whose name is the measurement's.
 
     Attributes:
+        time_offset: Is added to the stamps of its measurements [s]; every sensor declares it.
         EVENT: Class of its measurements.
         ROOM: Largest size of each optional block that it may bring, by name.
         REMEDIES: What the reasons of its own mean for which a measurement is refused, and what to
             do about them.
     """
 
+    time_offset: float
     EVENT: ClassVar[type[Measurement]]
     ROOM: ClassVar[Mapping[str, int]] = {}
     REMEDIES: ClassVar[Mapping[str, str]] = {}
