@@ -61,11 +61,6 @@ def more(
     return [100.0 * (error(*pair, row) / error(*pair, than) - 1.0) for pair in pairs]
 
 
-def lost_by_the_gate() -> list[int]:
-    """Missions in which the nominal row fails, of the two vehicles."""
-    return [int(numbers(vehicle, GATE, "R nominal")["failures"]) for vehicle in VEHICLES]
-
-
 def rmse(condition: str) -> list[float]:
     """Of the nominal row of the two vehicles, where no row fails."""
     return [float(numbers(vehicle, condition, "R nominal")["body_rmse"]) for vehicle in VEHICLES]
@@ -137,8 +132,7 @@ CONCLUDED: dict[str, Callable[[], Sequence[float]]] = {
     "where `R nominal` has N and N.": lambda: both(PLAIN, "R nominal", "R oracle"),
     "`R learned` has N and N, and misses both": lambda: both(PLAIN, "R learned", "R oracle"),
     "The gate changes the error of these rows by N % at most": lambda: [of_the_gate()],
-    "bottom: it fails in N and N missions, and": lambda: lost_by_the_gate(),
-    "where no row fails it has N and N m/s,": lambda: rmse(GATE),
+    "bottom: it has N and N m/s,": lambda: rmse(GATE),
     "in place of N and N m/s with the gate off": lambda: rmse(PLAIN),
     "the medians are N and N m/s, in place of N and N m/s.": medians,
     "With outliers `R adaptive` has N and N of its error without those pings,": lambda: both(
@@ -165,8 +159,7 @@ EXPLAINED: dict[str, dict[str, Callable[[], Sequence[float]]]] = {
         "wins N % of what there is to win at 5 Hz, and N % at 1 Hz": lambda: [
             won(vehicle) for vehicle in VEHICLES
         ],
-        "the filter is lost in N and N of N flights": lambda: [*lost_by_the_gate(), 100],
-        "and in the others the RMSE is N and N m/s, in place of N and N m/s": lambda: [
+        "bad bottom: the RMSE is N and N m/s, in place of N and N m/s": lambda: [
             *rmse(GATE),
             *rmse(PLAIN),
         ],
