@@ -144,7 +144,13 @@ def stays(flown: Flown, *, velocity: float = 0.1, tilt: float = 0.5) -> None:
 
 @GRADE
 @SOURCE
-@pytest.mark.parametrize(("angle", "width"), [(30.0, 8.0), (20.0, 5.0), (60.0, 8.0)])
+@pytest.mark.parametrize(
+    ("angle", "width"),
+    [
+        (30.0, 8.0),
+        *(pytest.param(*one, marks=pytest.mark.long) for one in ((20.0, 5.0), (60.0, 8.0))),
+    ],
+)
 def test_a_compass_that_passes_steel_does_not_tilt_the_vehicle(
     grade: str, learned: dict[str, Any], angle: float, width: float
 ) -> None:
@@ -156,7 +162,16 @@ def test_a_compass_that_passes_steel_does_not_tilt_the_vehicle(
 
 @GRADE
 @SOURCE
-@pytest.mark.parametrize("fault", ["low-pass of 1 s", "0.5 s late", "drift", "water of 1053 kg/m3"])
+@pytest.mark.parametrize(
+    "fault",
+    [
+        *("low-pass of 1 s", "drift"),
+        *(
+            pytest.param(one, marks=pytest.mark.long)
+            for one in ("0.5 s late", "water of 1053 kg/m3")
+        ),
+    ],
+)
 def test_a_depth_that_lags_or_drifts_does_not_turn_the_velocity(
     grade: str, learned: dict[str, Any], fault: str
 ) -> None:
@@ -211,7 +226,9 @@ def test_a_dvl_that_drifts_away_and_returns_is_believed_again(
 
 
 @GRADE
-@pytest.mark.parametrize("off", [5.0, -5.0, 1.0])
+@pytest.mark.parametrize(
+    "off", [5.0, *(pytest.param(one, marks=pytest.mark.long) for one in (-5.0, 1.0))]
+)
 def test_a_first_depth_that_is_wrong_is_forgotten(grade: str, off: float) -> None:
     """The surface is unknown and was taken from it; the height was known before, to 0.1 m."""
     m = mission(grade)

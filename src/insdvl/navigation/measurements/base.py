@@ -276,7 +276,6 @@ class SensorParameters:
             do about them.
     """
 
-    time_offset: float
     EVENT: ClassVar[type[Measurement]]
     ROOM: ClassVar[Mapping[str, int]] = {}
     REMEDIES: ClassVar[Mapping[str, str]] = {}
