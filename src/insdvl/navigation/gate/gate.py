@@ -195,10 +195,15 @@ class Gate:
         again, g["drifts"] = bool(g["drifts"]), fair.nis > FAULT * limit
         if not (again and g["drifts"]):
             return self._again(s, now, now.R + (fair.nis / limit - 1.0) * now.S)
-        self._model.inflate(s, now.innovation, _drifted_for(g, stamp_ns))
+        self._inflate(s, now, _drifted_for(g, stamp_ns))
+        return self._again(s, now, now.R)
+
+    def _inflate(self, s: State, now: Innovated, seconds: float | None) -> None:
+        """Doubt the state, see `SensorModel.inflate`; a filter in doubt is not trusted."""
+        self._model.inflate(s, now.innovation, seconds)
+        g = self._memory(s)
         g["trusted_for"] = 0
         g["inflations"] += 1
-        return self._again(s, now, now.R)
 
     # ---------------------------------------------------------------- the sensor
 
@@ -269,9 +274,7 @@ class Gate:
         since_ns = stamp_ns - int(g["rejected_from_ns"])
         if in_doubt(s):
             # An IMU that is in doubt has no patience to ask for, and its own explanation.
-            self._model.inflate(s, now.innovation, None)
-            g["trusted_for"] = 0
-            g["inflations"] += 1
+            self._inflate(s, now, None)
         elif since_ns >= g["patient_for"]:
             if g["gave_in_ns"] < g["rejected_from_ns"]:
                 self._give_in(s, stamp_ns, now)
@@ -299,7 +302,7 @@ class Gate:
         again = not back and stamp_ns - int(g["gave_in_ns"]) <= 2 * self._patience_ns
         contested = not back and (not trusted if again else bool(g["steps"]))
         known = stamp_ns > g["accepted_ns"] > NEVER and (not g["steps"] or (again and trusted))
-        self._model.inflate(s, now.innovation, _drifted_for(g, stamp_ns) if known else None)
+        self._inflate(s, now, _drifted_for(g, stamp_ns) if known else None)
         if contested:
             count = 1.0
             if trusted:
@@ -307,8 +310,7 @@ class Gate:
             error = np.sqrt(count) * np.linalg.norm(now.innovation)
             _doubt(g, error, stamp_ns, self._patience_ns, 0 if trusted else HALF_LIFE_NS)
         claim[:] = 0.0 if back or again else now.innovation
-        g["trusted_for"], g["gave_in_ns"] = 0, stamp_ns
-        g["inflations"] += 1
+        g["gave_in_ns"] = stamp_ns
 
     # ---------------------------------------------------------------- what a sensor claims
 

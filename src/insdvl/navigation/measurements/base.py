@@ -250,7 +250,7 @@ class SensorModel(ABC, Generic[_Event]):
         Args:
             s: State; its covariance becomes larger.
             innovation: (m,) of the measurement.
-            seconds: Since the last accepted one; None where that explains nothing.
+            seconds: In which the state has drifted; None where a drift explains nothing.
         """
 
     @abstractmethod

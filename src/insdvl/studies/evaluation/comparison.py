@@ -232,14 +232,14 @@ def summary(scores: Mapping[str, Array], rng: np.random.Generator) -> dict[str, 
     failures = {row: int(np.sum(values[:, failure])) for row, values in scores.items()}
     n_runs = len(next(iter(scores.values())))
     paired = {row for row, count in failures.items() if count <= MOST_FAILURES * n_runs}
-    whole = np.ones(n_runs, np.bool_)
+    whole = np.full(n_runs, bool(paired))
     for row in paired:
         whole &= scores[row][:, failure] == 0.0
     if not whole.any():
         paired = set()  # there is no run to compare them on
     numbers: dict[str, Any] = {
         "runs": n_runs,
-        "paired_runs": int(whole.sum()) if paired else 0,
+        "paired_runs": int(whole.sum()),
         "rows": [],
         "per_run": {
             metric: {
